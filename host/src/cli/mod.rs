@@ -1,0 +1,55 @@
+//! The command line: one file a command. Arguments in, calls, words out.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::input::InputError;
+
+/// Calibrates industrial robots and their thermal drift, and explains what is left.
+#[derive(Debug, Parser)]
+#[command(name = "thermokin", version, propagate_version = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// One variant a command; each is carried out by the file of its name.
+#[derive(Debug, Subcommand)]
+enum Command {}
+
+/// Why a command did not do what it was asked to: decides the exit code.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// Bad usage or bad input: exit code 2.
+    #[error(transparent)]
+    Input(#[from] InputError),
+    /// Bad usage that the argument parser cannot see: exit code 2.
+    #[error("{0}")]
+    Usage(String),
+    /// The work itself failed: exit code 1.
+    #[error("{0}")]
+    Work(String),
+}
+
+impl Failure {
+    fn exit_code(&self) -> ExitCode {
+        match self {
+            Failure::Input(_) | Failure::Usage(_) => ExitCode::from(2),
+            Failure::Work(_) => ExitCode::from(1),
+        }
+    }
+}
+
+/// Runs the command that the process was started with.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let outcome: Result<(), Failure> = match arguments.command {};
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("thermokin: {failure}");
+            failure.exit_code()
+        }
+    }
+}

@@ -1,0 +1,6 @@
+//! thermokin: calibration of industrial arms and of their thermal drift.
+//!
+//! Each module is a room with one owner; ARCHITECTURE.md at the top of the project says which room does what.
+
+pub mod cli;
+pub mod input;

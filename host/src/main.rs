@@ -1,0 +1,6 @@
+//! The binary `thermokin`.
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    thermokin::cli::main()
+}

@@ -1,0 +1,2 @@
+//! Everything a link board and the host say to each other, and nothing else.
+#![no_std]
