@@ -1,0 +1,169 @@
+//! The host's side of the window: what of one board's records was received, and what of that is durable.
+
+use heapless::Vec;
+
+use crate::MAX_SEGMENTS;
+use crate::message::{Acknowledgement, Batch, Record, Segment};
+use crate::seal::Refused;
+use crate::sequence_set::SequenceSet;
+
+/// What a batch brought that was not there before, in the order of the sequences.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arrival<'a> {
+    /// A record that is received for the first time.
+    Record(&'a Record),
+    /// Sequences that will never come.
+    Gap(Gap),
+}
+
+/// Sequences of a store that will never come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Gap {
+    /// The store.
+    pub store: u32,
+    /// The first sequence.
+    pub from: u64,
+    /// One past the last sequence; none where nobody knows how many there were.
+    pub until: Option<u64>,
+    /// Why.
+    pub reason: GapReason,
+}
+
+/// Why sequences will never come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GapReason {
+    /// The board does not hold them: its full store thinned them out, or another log took them before this one began.
+    NotHeld,
+    /// The store that held them ended, with the board's power for instance.
+    StoreEnded,
+}
+
+/// What one board's records have come to, on the host.
+///
+/// `SEGMENTS` bounds how scattered the records above the contiguous part may be (64 sequences a segment); records that
+/// would exceed it are not taken and not acknowledged, so the board sends them again.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Inbox<const SEGMENTS: usize> {
+    received: Option<Progress<SEGMENTS>>,
+    durable: Option<Progress<SEGMENTS>>,
+    /// The segments that the next acknowledgement tells about.
+    asked: Vec<u64, MAX_SEGMENTS>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Progress<const SEGMENTS: usize> {
+    store: u32,
+    set: SequenceSet<SEGMENTS>,
+}
+
+impl<const SEGMENTS: usize> Inbox<SEGMENTS> {
+    /// Takes a batch and calls `each` with what is new in it. None of that is durable yet.
+    ///
+    /// # Errors
+    ///
+    /// [`Refused::Malformed`] if the batch breaks its own rules, [`Refused::Stale`] if it is from a store that ended.
+    pub fn accept(&mut self, batch: &Batch, mut each: impl FnMut(Arrival<'_>)) -> Result<(), Refused> {
+        if !batch.is_well_formed() {
+            return Err(Refused::Malformed);
+        }
+        let received = match &mut self.received {
+            Some(progress) if progress.store > batch.store => return Err(Refused::Stale),
+            Some(progress) if progress.store == batch.store => progress,
+            other => {
+                if let Some(ended) = other {
+                    let gap = |from, until| Gap { store: ended.store, from, until, reason: GapReason::StoreEnded };
+                    let end = ended.set.end();
+                    ended.set.missing(0, end, |from, until| each(Arrival::Gap(gap(from, Some(until)))));
+                    each(Arrival::Gap(gap(end, None)));
+                }
+                self.asked.clear();
+                other.insert(Progress { store: batch.store, set: SequenceSet::default() })
+            }
+        };
+        let mut start = batch.from;
+        for record in &batch.records {
+            received.close(start, record.sequence, &mut each);
+            start = record.sequence + 1;
+            let fresh = !received.set.contains(record.sequence);
+            if fresh && received.set.insert_range(record.sequence, start).is_ok() {
+                each(Arrival::Record(record));
+            }
+            let segment = record.sequence & !63;
+            if !self.asked.contains(&segment) {
+                if self.asked.is_full() {
+                    self.asked.remove(0);
+                }
+                // There is room: one was removed if there was none.
+                let _ = self.asked.push(segment);
+            }
+        }
+        received.close(start, batch.until, &mut each);
+        Ok(())
+    }
+
+    /// Notes that arrivals of a store are on disk: the sequences of `from..until`.
+    ///
+    /// Arrivals must be noted in the order in which [`Inbox::accept`] gave them.
+    pub fn mark_durable(&mut self, store: u32, from: u64, until: u64) {
+        let durable = match &mut self.durable {
+            Some(progress) if progress.store > store => return,
+            Some(progress) if progress.store == store => progress,
+            other => other.insert(Progress { store, set: SequenceSet::default() }),
+        };
+        // What was received fitted; a prefix of it, in the same order, fits too.
+        let _ = durable.set.insert_range(from, until);
+    }
+
+    /// Forgets what was received and is not durable: writing it failed, the board shall send it again.
+    pub fn roll_back(&mut self) {
+        self.received = self.durable.clone();
+    }
+
+    /// Notes what a log already holds, when it is read back in its order.
+    pub fn restore(&mut self, store: u32, from: u64, until: u64) {
+        self.mark_durable(store, from, until);
+        self.roll_back();
+    }
+
+    /// The durable part: store, limit and bitmap above it; none before anything is durable.
+    pub fn durable(&self) -> Option<(u32, u64, &[Segment])> {
+        self.durable.as_ref().map(|progress| (progress.store, progress.set.below(), progress.set.segments()))
+    }
+
+    /// The name of the store that is being received.
+    pub fn store(&self) -> Option<u32> {
+        self.received.as_ref().map(|progress| progress.store)
+    }
+
+    /// The acknowledgement to send now; none before anything was received.
+    pub fn acknowledgement(&mut self) -> Option<Acknowledgement> {
+        let received = self.received.as_ref()?;
+        let mut acknowledgement = Acknowledgement { store: received.store, below: 0, segments: Vec::new() };
+        let Some(durable) = self.durable.as_ref().filter(|durable| durable.store == received.store) else {
+            return Some(acknowledgement);
+        };
+        acknowledgement.below = durable.set.below();
+        acknowledgement.segments = self.asked.iter().filter_map(|&from| durable.set.segment_of(from)).collect();
+        self.asked.retain(|&from| durable.set.segment_of(from) != received.set.segment_of(from));
+        Some(acknowledgement)
+    }
+}
+
+impl<const SEGMENTS: usize> Progress<SEGMENTS> {
+    /// Turns what is missing in a claimed range into gaps. A claim for which there is no room is left: a later batch makes
+    /// it again.
+    fn close(&mut self, from: u64, until: u64, each: &mut impl FnMut(Arrival<'_>)) {
+        if from >= until || until <= self.set.below() {
+            return;
+        }
+        let before = self.set.clone();
+        if self.set.insert_range(from, until).is_err() {
+            self.set = before;
+            return;
+        }
+        let store = self.store;
+        before.missing(from, until, |from, until| {
+            each(Arrival::Gap(Gap { store, from, until: Some(until), reason: GapReason::NotHeld }));
+        });
+    }
+}
