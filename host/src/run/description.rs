@@ -270,6 +270,13 @@ pub(super) fn robot_reference(robot: &Path, read_from: &Path, folder: &Path) -> 
 }
 
 fn relative_path(robot: &Path, read_from: &Path, folder: &Path) -> PathBuf {
+    if folder == read_from {
+        match robot.strip_prefix(folder) {
+            Ok(as_it_stood) => return as_it_stood.to_owned(),
+            Err(_) if robot.is_absolute() => return robot.to_owned(),
+            Err(_) => {}
+        }
+    }
     let stays_inside = |path: &&Path| path.components().all(|part| matches!(part, Component::Normal(_)));
     for base in [folder, read_from] {
         if let Some(inside) = robot.strip_prefix(base).ok().filter(stays_inside) {

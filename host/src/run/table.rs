@@ -160,8 +160,7 @@ impl<'a> Table<'a> {
     pub(super) fn next_row(&mut self) -> Result<Option<Row<'_>>, InputError> {
         let Some(offset) = self.advance()? else { return Ok(None) };
         let (found, expected) = (self.record.len(), self.head.names.len());
-        let surplus_is_empty = self.record.iter().skip(expected).all(|cell| cell.trim_ascii().is_empty());
-        if found < expected || !surplus_is_empty {
+        if found != expected {
             let hint = if self.head.separator == b',' && found > expected {
                 " (a decimal comma needs semicolons between the columns)"
             } else {

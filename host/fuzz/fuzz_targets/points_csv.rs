@@ -1,0 +1,7 @@
+//! points.csv as any bytes.
+#![no_main]
+
+#[path = "../property.rs"]
+mod property;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| property::holds("points.csv", bytes));
