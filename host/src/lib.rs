@@ -2,7 +2,9 @@
 //!
 //! Each module is a room with one owner; ARCHITECTURE.md at the top of the project says which room does what.
 
+pub mod calibrate;
 pub mod cli;
 pub mod input;
+pub mod model;
 pub mod robot;
 pub mod run;

@@ -1,0 +1,32 @@
+//! Identification of an arm from measurements: geometry, thermal coefficients, what the data can tell, and how surely.
+//!
+//! Knows nothing of effects beyond geometry and temperature.
+
+mod align;
+mod calibration;
+mod campaign;
+mod covariance;
+mod factor;
+mod heldout;
+mod identify;
+mod observe;
+mod problem;
+mod rank;
+mod robust;
+mod solve;
+pub mod thermal;
+mod unknown;
+
+pub use align::{align, base_unknowns, target_unknowns};
+pub use calibration::{Calibration, CalibrationError, Request, Start, calibrate, position_errors, start};
+pub use campaign::{Campaign, ObservedDistance, ObservedPosition, ObservedTurn, ObservedVisit};
+pub use covariance::{Noise, Uncertainty, uncertainty};
+pub use factor::{NewRows, OrthogonalFactor};
+pub use heldout::{HeldOut, HeldOutBy, HeldOutError, held_out};
+pub use identify::{Identification, Manner, Weak, geometric_unknowns, identifiable, identify};
+pub use observe::{JointSource, ObserveOptions, Observed, observe};
+pub use problem::{Problem, Scratch, VisitRows};
+pub use rank::{Held, Observability, in_words, observability};
+pub use robust::Loss;
+pub use solve::{Solution, Stop, Stopping, solve, solve_robust};
+pub use unknown::{GrowthTerm, Names, State, Unknown, keep_order};

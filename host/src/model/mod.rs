@@ -1,0 +1,11 @@
+//! A calibrated arm: nominal, geometric and thermal parameters, its file, and what it predicts.
+//!
+//! Knows nothing of how the values were found.
+
+mod errors;
+mod file;
+mod geometry;
+
+pub use errors::{ErrorTally, Errors};
+pub use file::{HOW_TO_APPLY, ModelFileError};
+pub use geometry::{Geometry, Growth, Level, Model, ParameterEstimate, ReferenceTemperature};
