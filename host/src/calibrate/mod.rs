@@ -9,13 +9,16 @@ mod covariance;
 mod factor;
 mod heldout;
 mod identify;
+pub mod methods;
 mod observe;
 mod problem;
 mod rank;
+mod recursive;
 mod robust;
 mod solve;
 pub mod thermal;
 mod unknown;
+mod validation;
 
 pub use align::{align, base_unknowns, target_unknowns};
 pub use calibration::{Calibration, CalibrationError, Request, Start, calibrate, position_errors, start};
@@ -27,6 +30,8 @@ pub use identify::{Identification, Manner, Weak, geometric_unknowns, identifiabl
 pub use observe::{JointSource, ObserveOptions, Observed, observe};
 pub use problem::{Problem, Scratch, VisitRows};
 pub use rank::{Held, Observability, in_words, observability};
+pub use recursive::Recursive;
 pub use robust::Loss;
 pub use solve::{Solution, Stop, Stopping, solve, solve_robust};
 pub use unknown::{GrowthTerm, Names, State, Unknown, keep_order};
+pub use validation::{Group, LEVELS, Refit, Validation, validate};

@@ -493,6 +493,46 @@ impl<'a> Problem<'a> {
         });
     }
 
+    /// The part of the loss's Hessian that Gauss and Newton leave out, `-Σ e ∂²r`: exact, for geometric unknowns seen by
+    /// positions.
+    ///
+    /// With every parameter's twist in the flange frame, the second derivative of a target's position by a parameter and
+    /// by one further down the chain is `ω₁ × (ω₂ × p + v₂)`: upstream acts on what downstream does.
+    pub fn curvature(&self, state: &State) -> DMatrix<f64> {
+        let mut scratch = self.scratch();
+        let unknowns = self.unknowns.len();
+        let mut hessian = DMatrix::zeros(unknowns, unknowns);
+        self.each_visit(state, |_, visit, prepared, _| {
+            let flange = prepared.twists(&visit.posture, &mut scratch.parameters, &mut scratch.joints);
+            for position in &visit.positions {
+                let target = &state.geometry.targets[position.target];
+                let e = (flange.local(&position.at) - target) / (visit.sigma * visit.sigma);
+                let place = (*target).into();
+                // e · (ω × u) = u · (e × ω).
+                let lever = |twist: &Twist| e.cross(&Vector3::from(twist.angular));
+                for &(upstream, i) in &self.free_parameters {
+                    let lever = lever(&scratch.parameters[upstream]);
+                    for &(downstream, j) in &self.free_parameters {
+                        if downstream >= upstream {
+                            let value = -lever.dot(&Vector3::from(scratch.parameters[downstream].at(&place)));
+                            hessian[(i, j)] += value;
+                            if downstream > upstream {
+                                hessian[(j, i)] += value;
+                            }
+                        }
+                    }
+                    for (axis, column) in self.columns.target[position.target].iter().enumerate() {
+                        if let Some(j) = *column {
+                            hessian[(i, j)] -= lever[axis];
+                            hessian[(j, i)] -= lever[axis];
+                        }
+                    }
+                }
+            }
+        });
+        hessian
+    }
+
     fn joint_rows(
         &self,
         visit: &ObservedVisit,

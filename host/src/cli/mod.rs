@@ -1,5 +1,13 @@
 //! The command line: one file a command. Arguments in, calls, words out.
 
+mod calibrate;
+mod campaign;
+mod method_table;
+mod output;
+mod progress;
+mod validate;
+mod words;
+
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -16,7 +24,10 @@ struct Arguments {
 
 /// One variant a command; each is carried out by the file of its name.
 #[derive(Debug, Subcommand)]
-enum Command {}
+enum Command {
+    Calibrate(calibrate::Arguments),
+    Validate(validate::Arguments),
+}
 
 /// Why a command did not do what it was asked to: decides the exit code.
 #[derive(Debug, thiserror::Error)]
@@ -44,7 +55,10 @@ impl Failure {
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let outcome: Result<(), Failure> = match arguments.command {};
+    let outcome: Result<(), Failure> = match &arguments.command {
+        Command::Calibrate(arguments) => calibrate::run(arguments),
+        Command::Validate(arguments) => validate::run(arguments),
+    };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

@@ -246,7 +246,8 @@ fn from_file(file: &Path, content: ModelFile, robot: Robot) -> Result<Model, Inp
         .thermal_coefficients
         .iter()
         .map(|entry| {
-            let unknown = || InputError::of_file(file, format!("thermal coefficient of {}: no such parameter", entry.parameter));
+            let unknown =
+                || InputError::of_file(file, format!("thermal coefficient of {}: no such parameter", entry.parameter));
             let parameter: ParameterId = entry.parameter.parse().map_err(|_| unknown())?;
             chain.place(parameter).ok_or_else(unknown)?;
             Ok(Growth { parameter, sensor: entry.sensor.clone(), coefficient: entry.value, sigma: entry.sigma })
@@ -295,7 +296,10 @@ fn check_names(file: &Path, content: &ModelFile, robot: &Robot, chain: &Chain) -
     let targets = robot.targets.iter().map(|target| &target.name);
     if !targets.clone().eq(content.targets.iter().map(|entry| &entry.name)) {
         let names: Vec<&str> = targets.map(String::as_str).collect();
-        return Err(InputError::of_file(file, format!("targets are not those of its robot, expected {}", names.join(", "))));
+        return Err(InputError::of_file(
+            file,
+            format!("targets are not those of its robot, expected {}", names.join(", ")),
+        ));
     }
     Ok(())
 }

@@ -1,0 +1,192 @@
+//! A model tried on a run: errors of position of each level, overall, by cycle and by pose.
+
+use std::collections::BTreeMap;
+
+use super::align::{align, base_unknowns, target_unknowns};
+use super::campaign::{Campaign, ObservedVisit};
+use super::identify::{Manner, identify};
+use super::observe::{ObserveOptions, observe};
+use super::problem::Problem;
+use super::unknown::{GrowthTerm, State};
+use crate::input::InputError;
+use crate::model::{ErrorTally, Errors, Level, Model};
+use crate::robot::Robot;
+use crate::run::Run;
+
+/// What is found anew on the other run before the model is judged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Refit {
+    /// The base: the instrument has moved, or the arm.
+    pub base: bool,
+    /// The targets: another tool.
+    pub targets: bool,
+}
+
+/// The levels that a model has, in the order of results.
+pub const LEVELS: [Level; 3] = [Level::Nominal, Level::Geometric, Level::Thermal];
+
+/// Errors of the levels over one cycle or one pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Group {
+    /// The cycle's or the pose's number.
+    pub number: u32,
+    /// When its first visit took place, seconds.
+    pub time_s: f64,
+    /// Mean temperature of the model's sensors, degrees Celsius; of the air where the model has none.
+    pub temperature: Option<f64>,
+    /// Errors in the order of [`LEVELS`].
+    pub errors: [Errors; 3],
+}
+
+/// A model judged on a run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Validation {
+    /// Visits judged.
+    pub visits: usize,
+    /// Points judged.
+    pub points: usize,
+    /// Errors over the whole run in the order of [`LEVELS`].
+    pub errors: [Errors; 3],
+    /// By cycle.
+    pub cycles: Vec<Group>,
+    /// By pose.
+    pub poses: Vec<Group>,
+    /// What was left out, filled in or found anew, in words.
+    pub notes: Vec<String>,
+}
+
+/// Tries a model on the visits of a run that `pick` chooses.
+///
+/// # Errors
+/// A run that does not fit the model's arm, or none of whose visits is chosen.
+pub fn validate(
+    model: &Model,
+    run: &Run,
+    run_robot: &Robot,
+    options: &ObserveOptions,
+    refit: Refit,
+    pick: impl Fn(&ObservedVisit) -> bool,
+) -> Result<Validation, InputError> {
+    let mut robot = model.robot.clone();
+    robot.monuments = run_robot.monuments.clone();
+    if refit.targets {
+        // Another tool has other targets; the model's own do not matter then.
+        robot.targets =
+            run_robot.targets.iter().cloned().map(|target| crate::robot::Target { position: None, ..target }).collect();
+    }
+    let observed = observe(&robot, run, options, Some(&model.temperatures))?;
+    let campaign = observed.campaign.select(pick);
+    if campaign.visits.is_empty() {
+        let message = "no visit is left to validate with: the choice of poses leaves none";
+        return Err(InputError::of_file(&run.folder.join("poses.csv"), message));
+    }
+    let mut notes = observed.notes.clone();
+    let mut growth = Vec::new();
+    let mut coefficients = Vec::new();
+    for term in &model.growth {
+        let parameter = campaign.chain.place(term.parameter);
+        let sensor = campaign.sensors.iter().position(|name| *name == term.sensor);
+        match (parameter, sensor) {
+            (Some(parameter), Some(sensor)) => {
+                growth.push(GrowthTerm { parameter, sensor });
+                coefficients.push(term.coefficient);
+            }
+            _ => notes.push(format!("{} cannot follow {}: the run has no such readings", term.parameter, term.sensor)),
+        }
+    }
+    let mut overall = [ErrorTally::default(); 3];
+    let mut by_cycle: BTreeMap<u32, (f64, [ErrorTally; 3])> = BTreeMap::new();
+    let mut by_pose: BTreeMap<u32, (f64, [ErrorTally; 3])> = BTreeMap::new();
+    for (place, level) in LEVELS.into_iter().enumerate() {
+        let thermal = level == Level::Thermal;
+        let own = Campaign { growth: if thermal { growth.clone() } else { Vec::new() }, ..campaign.clone() };
+        let mut geometry = model.geometry(level).clone();
+        if refit.targets {
+            geometry.targets = observed.nominal.geometry.targets.clone();
+            geometry.turns = observed.nominal.geometry.turns.clone();
+        }
+        let start = State { geometry, growth: if thermal { coefficients.clone() } else { Vec::new() } };
+        let state = refitted(&robot, &own, start, refit);
+        Problem::new(&own, Vec::new(), &state).distances(&state, |visit, _, error| {
+            let distance = error.norm();
+            let time = run.visits[visit.place].time_s;
+            overall[place].add(distance);
+            by_cycle.entry(visit.cycle).or_insert((time, Default::default())).1[place].add(distance);
+            by_pose.entry(visit.pose).or_insert((time, Default::default())).1[place].add(distance);
+        });
+    }
+    if refit.base || refit.targets {
+        let what = match (refit.base, refit.targets) {
+            (true, true) => "base and targets were",
+            (true, false) => "the base was",
+            _ => "the targets were",
+        };
+        notes.push(format!("{what} found anew on this run, for each level of the model alone"));
+    }
+    let warm = |group: &dyn Fn(&ObservedVisit) -> bool| mean_temperature(model, run, options, &campaign, group);
+    let groups = |sums: BTreeMap<u32, (f64, [ErrorTally; 3])>, cycles: bool| {
+        sums.into_iter()
+            .map(|(number, (time_s, tallies))| Group {
+                number,
+                time_s,
+                temperature: warm(&|visit| if cycles { visit.cycle == number } else { visit.pose == number }),
+                errors: tallies.map(|tally| tally.errors()),
+            })
+            .collect()
+    };
+    Ok(Validation {
+        visits: campaign.visits.len(),
+        points: overall[0].count(),
+        errors: overall.map(|tally| tally.errors()),
+        cycles: groups(by_cycle, true),
+        poses: groups(by_pose, false),
+        notes,
+    })
+}
+
+/// A state with base or targets found anew.
+fn refitted(robot: &Robot, campaign: &Campaign, start: State, refit: Refit) -> State {
+    let seen = campaign.seen_targets();
+    let targets: Vec<usize> =
+        if refit.targets { (0..seen.len()).filter(|&target| seen[target]).collect() } else { Vec::new() };
+    let mut unknowns = target_unknowns(&targets);
+    if refit.base {
+        unknowns.extend(base_unknowns(campaign));
+    }
+    if unknowns.is_empty() {
+        return start;
+    }
+    let start = match refit.base {
+        true => align(robot, campaign, &start, &targets).unwrap_or(start),
+        false => start,
+    };
+    identify(campaign, unknowns, start, &Manner::default()).solution.state
+}
+
+/// Mean over the visits of a group of the model's sensors' mean; of the run's ambient sensor where there is none.
+fn mean_temperature(
+    model: &Model,
+    run: &Run,
+    options: &ObserveOptions,
+    campaign: &Campaign,
+    group: &dyn Fn(&ObservedVisit) -> bool,
+) -> Option<f64> {
+    let visits: Vec<&ObservedVisit> = campaign.visits.iter().filter(|visit| group(visit)).collect();
+    let mean = |values: Vec<f64>| {
+        let count = values.len() as f64;
+        (count > 0.0).then(|| values.iter().sum::<f64>() / count)
+    };
+    let of_sensors = visits.iter().flat_map(|visit| {
+        campaign.sensors.iter().zip(&visit.rises).filter_map(|(name, rise)| {
+            let reference = model.temperatures.iter().find(|reference| reference.sensor == *name)?;
+            Some(reference.celsius + rise)
+        })
+    });
+    mean(of_sensors.collect()).or_else(|| {
+        let log = run.temperatures.as_ref()?;
+        let sensor = log.index_of(run.description.ambient.as_deref()?)?;
+        let series = &log.series[sensor];
+        let gap = series.max_gap_s(&options.join);
+        mean(visits.iter().filter_map(|visit| series.at(run.visits[visit.place].time_s, gap).celsius()).collect())
+    })
+}
