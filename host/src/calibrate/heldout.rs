@@ -24,8 +24,21 @@ pub struct HeldOut {
     pub by: HeldOutBy,
     /// The number of folds.
     pub folds: usize,
+    /// The seed that dealt poses or cycles out to the folds.
+    pub seed: u64,
     /// The errors.
     pub errors: Errors,
+}
+
+/// How folds are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Folds {
+    /// What is held out together.
+    pub by: HeldOutBy,
+    /// How many.
+    pub count: usize,
+    /// Which poses or cycles come together is drawn from this seed.
+    pub seed: u64,
 }
 
 /// Why nothing could be held out.
@@ -49,16 +62,15 @@ pub fn held_out(
     run: &Run,
     request: &Request,
     growth_of: &Campaign,
-    by: HeldOutBy,
-    folds: usize,
+    Folds { by, count: folds, seed }: Folds,
     mut progress: impl FnMut(usize),
 ) -> Result<HeldOut, HeldOutError> {
     // Only visits that the calibration itself uses are dealt out.
     let used: Vec<&crate::run::Visit> = growth_of.visits.iter().map(|visit| &run.visits[visit.place]).collect();
     let visits: Vec<crate::run::Visit> = used.into_iter().cloned().collect();
     let dealt = match by {
-        HeldOutBy::Pose => folds_by_pose(&visits, folds)?,
-        HeldOutBy::Cycle => folds_by_cycle(&visits, folds)?,
+        HeldOutBy::Pose => folds_by_pose(&visits, folds, seed)?,
+        HeldOutBy::Cycle => folds_by_cycle(&visits, folds, seed)?,
     };
     let mut fold_of = vec![None; run.visits.len()];
     for (visit, fold) in growth_of.visits.iter().zip(dealt) {
@@ -82,5 +94,5 @@ pub fn held_out(
         let unseen = growth_of.select(|visit| fold_of[visit.place] == Some(fold));
         tally.merge(&position_errors(&unseen, &found.solution.state));
     }
-    Ok(HeldOut { by, folds, errors: tally.errors() })
+    Ok(HeldOut { by, folds, seed, errors: tally.errors() })
 }

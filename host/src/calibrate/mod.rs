@@ -25,7 +25,7 @@ pub use calibration::{Calibration, CalibrationError, Request, Start, calibrate, 
 pub use campaign::{Campaign, ObservedDistance, ObservedPosition, ObservedTurn, ObservedVisit};
 pub use covariance::{Noise, Uncertainty, uncertainty};
 pub use factor::{NewRows, OrthogonalFactor};
-pub use heldout::{HeldOut, HeldOutBy, HeldOutError, held_out};
+pub use heldout::{Folds, HeldOut, HeldOutBy, HeldOutError, held_out};
 pub use identify::{Identification, Manner, Weak, geometric_unknowns, identifiable, identify};
 pub use observe::{JointSource, ObserveOptions, Observed, observe};
 pub use problem::{Problem, Scratch, VisitRows};

@@ -13,7 +13,7 @@ use super::words;
 use super::{Failure, method_table};
 use crate::calibrate::thermal::ChosenBy;
 use crate::calibrate::{
-    Calibration, CalibrationError, HeldOut, HeldOutBy, HeldOutError, Loss, Manner, Request, Stopping, calibrate,
+    Calibration, CalibrationError, Folds, HeldOut, HeldOutBy, HeldOutError, Loss, Manner, Request, Stopping, calibrate,
     held_out,
 };
 use crate::model::{Errors, HOW_TO_APPLY};
@@ -52,6 +52,9 @@ pub struct Arguments {
     /// What a fold holds out
     #[arg(long, value_enum, default_value = "pose", requires = "folds")]
     fold_by: FoldBy,
+    /// Seed by which poses or cycles are dealt out to the folds
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "folds")]
+    fold_seed: u64,
     /// Parameters to leave at their nominal values, as in a6,beta6
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     fix: Vec<ParameterId>,
@@ -155,7 +158,14 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let folded = match folds {
         0 => None,
-        _ => Some(held_out(&robot, &run, &request, &calibration.campaign, by, folds, |_| steps.done())?),
+        _ => Some(held_out(
+            &robot,
+            &run,
+            &request,
+            &calibration.campaign,
+            Folds { by, count: folds, seed: arguments.fold_seed },
+            |_| steps.done(),
+        )?),
     };
     drop(steps);
     let methods = match arguments.compare_methods {
@@ -210,7 +220,12 @@ fn say(arguments: &Arguments, calibration: &Calibration, unseen: Option<&Unseen>
     }
     if let Some(folded) = folded {
         let by = if folded.by == HeldOutBy::Pose { "poses" } else { "cycles" };
-        println!("{}   ({} folds by whole {by})", words::errors("held out", &folded.errors), folded.folds);
+        println!(
+            "{}   ({} folds by whole {by}, seed {})",
+            words::errors("held out", &folded.errors),
+            folded.folds,
+            folded.seed
+        );
     }
     println!(
         "\n{} after {} steps{}; {} of {} unknowns identified, condition {:.0}",
@@ -358,7 +373,7 @@ fn as_json(calibration: &Calibration, unseen: Option<&Unseen>, folded: Option<&H
     }
     if let Some(folded) = folded {
         result["folds"] = json!({
-            "folds": folded.folds, "by": if folded.by == HeldOutBy::Pose { "pose" } else { "cycle" },
+            "folds": folded.folds, "seed": folded.seed, "by": if folded.by == HeldOutBy::Pose { "pose" } else { "cycle" },
             "mean_mm": folded.errors.mean_mm, "rms_mm": folded.errors.rms_mm, "max_mm": folded.errors.max_mm,
         });
     }

@@ -4,6 +4,9 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
 use super::Visit;
 
 /// Which visits to take. An index is a visit's position in order of time.
@@ -143,32 +146,39 @@ pub struct FoldError {
     pub by_pose: bool,
 }
 
-/// The fold of each visit, 0 to `folds` - 1, where all visits of a pose are in one fold. Poses are dealt out in turn by
-/// their numbers.
+/// The fold of each visit, 0 to `folds` - 1, where all visits of a pose are in one fold. Poses are dealt out in turn,
+/// shuffled by a seed.
 ///
 /// # Errors
 /// Fewer than two folds, or more folds than poses.
-pub fn folds_by_pose(visits: &[Visit], folds: usize) -> Result<Vec<usize>, FoldError> {
-    deal(visits, folds, |visit| visit.pose).map_err(|groups| FoldError { folds, groups, by_pose: true })
+pub fn folds_by_pose(visits: &[Visit], folds: usize, seed: u64) -> Result<Vec<usize>, FoldError> {
+    deal(visits, folds, seed, |visit| visit.pose).map_err(|groups| FoldError { folds, groups, by_pose: true })
 }
 
-/// The fold of each visit, 0 to `folds` - 1, where all visits of a cycle are in one fold. Cycles are dealt out in turn
-/// by their numbers.
+/// The fold of each visit, 0 to `folds` - 1, where all visits of a cycle are in one fold. Cycles are dealt out in turn,
+/// shuffled by a seed.
 ///
 /// # Errors
 /// Fewer than two folds, or more folds than cycles.
-pub fn folds_by_cycle(visits: &[Visit], folds: usize) -> Result<Vec<usize>, FoldError> {
-    deal(visits, folds, |visit| visit.cycle).map_err(|groups| FoldError { folds, groups, by_pose: false })
+pub fn folds_by_cycle(visits: &[Visit], folds: usize, seed: u64) -> Result<Vec<usize>, FoldError> {
+    deal(visits, folds, seed, |visit| visit.cycle).map_err(|groups| FoldError { folds, groups, by_pose: false })
 }
 
 /// Deals the groups out to the folds; the error is how many groups there are.
-fn deal(visits: &[Visit], folds: usize, group: impl Fn(&Visit) -> u32) -> Result<Vec<usize>, usize> {
+fn deal(visits: &[Visit], folds: usize, seed: u64, group: impl Fn(&Visit) -> u32) -> Result<Vec<usize>, usize> {
     let mut groups: Vec<u32> = visits.iter().map(&group).collect();
     groups.sort_unstable();
     groups.dedup();
     if folds < 2 || folds > groups.len() {
         return Err(groups.len());
     }
-    let rank = |visit| groups.partition_point(|&known| known < group(visit));
+    // Measuring orders have periods of their own (a grid, a sequence of approaches): a fold must not follow one.
+    let mut order: Vec<usize> = (0..groups.len()).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    for last in (1..order.len()).rev() {
+        let other = random.next_u64() % (last as u64 + 1);
+        order.swap(last, other as usize);
+    }
+    let rank = |visit| order[groups.partition_point(|&known| known < group(visit))];
     Ok(visits.iter().map(|visit| rank(visit) % folds).collect())
 }
