@@ -1,5 +1,7 @@
 //! The board's end: readings in, datagrams out, answers in.
 
+use core::borrow::BorrowMut;
+
 use heapless::Vec;
 
 use crate::header::{Direction, HEADER_LENGTH, Header, Kind};
@@ -50,16 +52,16 @@ pub struct Heard {
 ///
 /// The firmware calls [`BoardLink::record`] when it has sampled, [`BoardLink::poll`] until it gives nothing whenever
 /// [`BoardLink::next_poll_us`] has come (or the radio is up), and [`BoardLink::receive`] with each datagram that came.
-/// All times are the board's own microsecond clock.
+/// All times are the board's own microsecond clock. The link owns its store, or borrows one that lies in a static.
 #[derive(Debug)]
-pub struct BoardLink<const RECORDS: usize> {
+pub struct BoardLink<const RECORDS: usize, const SENSORS: usize = MAX_SENSORS, O = Outbox<RECORDS, SENSORS>> {
     key: Key,
     board: u32,
     boot: u32,
     identity: Identity,
     sensors: Vec<Sensor, MAX_SENSORS>,
     settings: Settings,
-    outbox: Outbox<RECORDS>,
+    outbox: O,
     guard: ReplayGuard,
     counter: u64,
     echo: Option<TimeEcho>,
@@ -76,7 +78,7 @@ pub struct BoardLink<const RECORDS: usize> {
     counters: BoardCounters,
 }
 
-impl<const RECORDS: usize> BoardLink<RECORDS> {
+impl<const RECORDS: usize, const SENSORS: usize> BoardLink<RECORDS, SENSORS> {
     /// The link of a boot, with an empty store.
     ///
     /// `boot` must be greater than at any start before under this key (see the crate's documentation); `sensors` beyond
@@ -92,8 +94,13 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
     ) -> Self {
         Self::resume(board, key, boot, identity, sensors, settings, now_us, Outbox::new(boot))
     }
+}
 
-    /// The link of a boot that found its retained store whole.
+impl<const RECORDS: usize, const SENSORS: usize, O> BoardLink<RECORDS, SENSORS, O>
+where
+    O: BorrowMut<Outbox<RECORDS, SENSORS>>,
+{
+    /// The link of a boot that has a store already: one that it found retained and whole, or one that began with it.
     #[expect(clippy::too_many_arguments, reason = "what a boot knows; a struct of the same fields would be no clearer")]
     pub fn resume(
         board: u32,
@@ -103,9 +110,9 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
         sensors: &[Sensor],
         settings: Settings,
         now_us: u64,
-        mut outbox: Outbox<RECORDS>,
+        mut outbox: O,
     ) -> Self {
-        outbox.resume();
+        outbox.borrow_mut().resume();
         Self {
             key,
             board,
@@ -137,12 +144,12 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
     }
 
     /// The store.
-    pub fn outbox(&self) -> &Outbox<RECORDS> {
-        &self.outbox
+    pub fn outbox(&self) -> &Outbox<RECORDS, SENSORS> {
+        self.outbox.borrow()
     }
 
     /// Gives the store back, to be retained over a reset.
-    pub fn into_outbox(self) -> Outbox<RECORDS> {
+    pub fn into_outbox(self) -> O {
         self.outbox
     }
 
@@ -167,39 +174,40 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
     pub fn record(&mut self, time_us: u64, readings: &[Reading]) -> u64 {
         let readings =
             (0..self.sensors.len()).map(|index| readings.get(index).copied().unwrap_or(Reading::Absent)).collect();
-        self.outbox.push(self.boot, time_us, readings)
+        self.outbox.borrow_mut().push(self.boot, time_us, readings)
     }
 
     /// The next datagram to send now, as the number of its bytes in `buffer`; call until there is none.
     pub fn poll(&mut self, now_us: u64, buffer: &mut [u8; MAX_DATAGRAM]) -> Option<usize> {
         let pace = self.pace(now_us);
         let bytes = MAX_MESSAGE - REPORT_OVERHEAD;
-        let live = self.outbox.live();
+        let live = self.outbox().live();
+        let from_live = self.outbox().len() - live.min(MAX_BATCH);
         let batch = if self.is_alone(now_us) {
             if self.sent_us.is_some_and(|sent| now_us.saturating_sub(sent) < pace.resend_after_us) {
                 return None;
             }
             self.doublings = (self.doublings + 1).min(MAX_DOUBLINGS);
             let index = match live {
-                0 => self.outbox.backlog(pace),
-                _ => Some(self.outbox.len() - live.min(MAX_BATCH)),
+                0 => self.outbox().backlog(pace),
+                _ => Some(from_live),
             };
             match index {
-                Some(index) => self.outbox.batch(index, &self.sensors, bytes, pace),
-                None => self.outbox.empty_batch(&self.sensors),
+                Some(index) => self.outbox.borrow_mut().batch(index, &self.sensors, bytes, pace),
+                None => self.outbox().empty_batch(&self.sensors),
             }
         } else if self.live_due_us(live).is_some_and(|due| due <= now_us) {
-            self.outbox.batch(self.outbox.len() - live.min(MAX_BATCH), &self.sensors, bytes, pace)
+            self.outbox.borrow_mut().batch(from_live, &self.sensors, bytes, pace)
         } else if let Some(index) = self.backlog_to_send(pace) {
             self.backlog_us = Some(now_us);
-            let resends = self.outbox.resends();
-            let batch = self.outbox.batch(index, &self.sensors, bytes, pace);
-            if self.outbox.resends() > resends {
+            let resends = self.outbox().resends();
+            let batch = self.outbox.borrow_mut().batch(index, &self.sensors, bytes, pace);
+            if self.outbox().resends() > resends {
                 self.doublings = (self.doublings + 1).min(MAX_DOUBLINGS);
             }
             batch
         } else if self.sent_us.is_none_or(|sent| now_us.saturating_sub(sent) >= HEARTBEAT_US) {
-            self.outbox.empty_batch(&self.sensors)
+            self.outbox().empty_batch(&self.sensors)
         } else {
             return None;
         };
@@ -214,8 +222,8 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
                 counters: Counters {
                     reads_failed: self.counters.reads_failed,
                     bus_recoveries: self.counters.bus_recoveries,
-                    records_dropped: self.outbox.dropped(),
-                    resends: self.outbox.resends(),
+                    records_dropped: self.outbox().dropped(),
+                    resends: self.outbox().resends(),
                     datagrams_refused: self.refused,
                 },
             },
@@ -245,11 +253,11 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
             return sent.saturating_add(wait);
         }
         let pace = self.pace(now_us);
-        let live = self.outbox.live();
+        let live = self.outbox().live();
         let spaced = self.backlog_us.map_or(0, |last| last.saturating_add(BACKLOG_SPACING_US));
-        let backlog = match self.outbox.backlog(pace) {
-            Some(_) if self.outbox.in_flight(pace) < IN_FLIGHT => Some(now_us.max(spaced)),
-            _ => self.outbox.next_due_us(wait).map(|due| due.max(spaced)),
+        let backlog = match self.outbox().backlog(pace) {
+            Some(_) if self.outbox().in_flight(pace) < IN_FLIGHT => Some(now_us.max(spaced)),
+            _ => self.outbox().next_due_us(wait).map(|due| due.max(spaced)),
         };
         let heartbeat = sent.saturating_add(HEARTBEAT_US);
         [self.live_due_us(live), backlog].into_iter().flatten().fold(heartbeat, u64::min)
@@ -294,7 +302,7 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
         if settings_changed {
             self.settings = answer.settings;
         }
-        let released = self.outbox.acknowledge(&answer.acknowledgement);
+        let released = self.outbox.borrow_mut().acknowledge(&answer.acknowledgement);
         if released > 0 || was_alone {
             self.doublings = 0;
         }
@@ -316,7 +324,7 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
     /// When the live records are due: at once when a batch is full, else when its oldest has waited a batch's time.
     fn live_due_us(&self, live: usize) -> Option<u64> {
         let length = usize::from(self.settings.batch_length).clamp(1, MAX_BATCH);
-        let oldest = self.outbox.live_since_us(live)?;
+        let oldest = self.outbox().live_since_us(live)?;
         if live >= length {
             return Some(0);
         }
@@ -329,6 +337,6 @@ impl<const RECORDS: usize> BoardLink<RECORDS> {
         if !spaced {
             return None;
         }
-        self.outbox.backlog(pace).filter(|_| self.outbox.in_flight(pace) < IN_FLIGHT)
+        self.outbox().backlog(pace).filter(|_| self.outbox().in_flight(pace) < IN_FLIGHT)
     }
 }

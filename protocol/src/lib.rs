@@ -65,6 +65,7 @@
 use defmt as _;
 
 mod board_link;
+mod configuration;
 #[cfg(test)]
 mod exhaustive;
 mod header;
@@ -78,6 +79,7 @@ pub mod seal;
 mod sequence_set;
 
 pub use board_link::{BoardCounters, BoardLink, Heard};
+pub use configuration::{BadPage, Configuration, MAX_PAGE, Wifi};
 pub use header::{Direction, HEADER_LENGTH, Header, Kind};
 pub use host_link::{HostLink, Received};
 pub use inbox::{Arrival, Gap, GapReason, Inbox};

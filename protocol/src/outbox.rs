@@ -3,7 +3,7 @@
 //! A full store thins itself: of its older half every second record goes, so that a long outage leaves an even, coarser
 //! trace of its beginning and all of its end.
 
-use core::num::NonZeroU64;
+use core::num::NonZeroU32;
 
 use heapless::Vec;
 
@@ -13,28 +13,41 @@ use crate::message::{Acknowledgement, Batch, Reading, Record, Sensor};
 /// The most bytes that one record takes in a message.
 const MAX_RECORD_LENGTH: usize = 10 + 10 + 1 + MAX_SENSORS * 4;
 
-/// A board's store, with room for a number of records.
+/// A board's store, with room for a number of records of up to `SENSORS` sensors each.
 ///
 /// It is plain data: a board that retains it over a reset (and checks it) hands it to the link of the next boot, and
-/// nothing in it is lost.
+/// nothing in it is lost. A record of four sensors takes 28 bytes.
 #[derive(Debug, Clone)]
-pub struct Outbox<const RECORDS: usize> {
+pub struct Outbox<const RECORDS: usize, const SENSORS: usize = MAX_SENSORS> {
     store: u32,
     next: u64,
-    held: Vec<Held, RECORDS>,
+    held: Vec<Held<SENSORS>, RECORDS>,
     dropped: u32,
     resends: u32,
 }
 
+/// A record as it is held: RAM decides how long a board outlives its host, so what follows from elsewhere is left out.
 #[derive(Debug, Clone)]
-struct Held {
-    record: Record,
-    boot: u32,
-    sent: Sent,
+struct Held<const SENSORS: usize> {
+    /// The low half of its sequence; a store never spans 2^32 of them.
+    sequence: u32,
+    /// When it was last sent, in [`SENT_UNIT_US`] on the clock of this boot, rounded up and kept from zero so that it
+    /// takes no tag.
+    sent: Option<NonZeroU32>,
+    /// The low 48 bits of its time: nine years.
+    time: [u16; 3],
+    /// The low half of its boot; a store never spans 2^16 of them.
+    boot: u16,
+    /// Two bits a reading, the first in the lowest: its variant.
+    variants: u16,
+    /// How many readings it has.
+    readings: u8,
+    /// The counts of each reading; zero where it has none.
+    counts: [i16; SENSORS],
 }
 
-/// When a record was last sent, on the board's clock of this boot, kept from zero so that it takes no tag.
-type Sent = Option<NonZeroU64>;
+/// About a millisecond, so that 32 bits last for 50 days.
+const SENT_UNIT_US: u64 = 1 << 10;
 
 /// The timing that decides what is due, from the link.
 #[derive(Debug, Clone, Copy)]
@@ -45,10 +58,19 @@ pub(crate) struct Pace {
     pub resend_after_us: u64,
 }
 
-impl<const RECORDS: usize> Outbox<RECORDS> {
+impl<const RECORDS: usize, const SENSORS: usize> Outbox<RECORDS, SENSORS> {
+    const FITS: () = assert!(SENSORS <= MAX_SENSORS, "no message has room for so many sensors");
+
     /// An empty store, named by the boot in which it begins.
     pub const fn new(boot: u32) -> Self {
+        const { Self::FITS };
         Self { store: boot, next: 0, held: Vec::new(), dropped: 0, resends: 0 }
+    }
+
+    /// Empties the store and names it anew: for one that lies where it was made before the boot was known.
+    pub fn begin(&mut self, boot: u32) {
+        (self.store, self.next, self.dropped, self.resends) = (boot, 0, 0, 0);
+        self.held.clear();
     }
 
     /// The name of the store: the boot in which it began.
@@ -73,7 +95,7 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
 
     /// The sequences that it holds, in order.
     pub fn sequences(&self) -> impl Iterator<Item = u64> + '_ {
-        self.held.iter().map(|held| held.record.sequence)
+        self.held.iter().map(|held| self.sequence(held))
     }
 
     /// How many records were thinned out unacknowledged.
@@ -86,15 +108,15 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
         self.resends
     }
 
-    /// Stores a record taken at a time of the given boot's clock; returns its sequence.
+    /// Stores a record taken at a time of the given boot's clock; returns its sequence. Readings beyond `SENSORS` are
+    /// ignored.
     pub fn push(&mut self, boot: u32, time_us: u64, readings: Vec<Reading, MAX_SENSORS>) -> u64 {
         if self.held.is_full() {
             self.thin();
         }
         let sequence = self.next;
         self.next += 1;
-        let record = Record { sequence, time_us, readings };
-        if self.held.push(Held { record, boot, sent: None }).is_err() {
+        if self.held.push(Held::new(sequence, boot, time_us, &readings)).is_err() {
             // Only a store without any room is still full after thinning.
             self.dropped = self.dropped.saturating_add(1);
         }
@@ -107,7 +129,8 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
             return 0;
         }
         let before = self.held.len();
-        self.held.retain(|held| !acknowledgement.covers(held.record.sequence));
+        let next = self.next;
+        self.held.retain(|held| !acknowledgement.covers(held.sequence(next)));
         before - self.held.len()
     }
 
@@ -125,7 +148,7 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
 
     /// The time at which the oldest of the newest `count` records was taken, on the clock of its boot.
     pub(crate) fn live_since_us(&self, count: usize) -> Option<u64> {
-        self.held.get(self.held.len() - count).map(|held| held.record.time_us)
+        self.held.get(self.held.len() - count).map(Held::time_us)
     }
 
     /// How many records were sent and may still be acknowledged in time.
@@ -141,7 +164,7 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
 
     /// The earliest time at which a sent record becomes due again.
     pub(crate) fn next_due_us(&self, resend_after_us: u64) -> Option<u64> {
-        self.held.iter().filter_map(|held| held.sent).min().map(|sent| sent.get().saturating_add(resend_after_us))
+        self.held.iter().filter_map(Held::sent_us).min().map(|sent| sent.saturating_add(resend_after_us))
     }
 
     /// The batch that begins at an index of the store: as many records of one boot as fit the number of bytes, skipping
@@ -149,8 +172,8 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
     pub(crate) fn batch(&mut self, index: usize, sensors: &[Sensor], bytes: usize, pace: Pace) -> Batch {
         let mut batch = Batch {
             store: self.store,
-            boot: self.held.get(index).map_or(self.store, |held| held.boot),
-            from: index.checked_sub(1).and_then(|i| self.held.get(i)).map_or(0, |held| held.record.sequence + 1),
+            boot: self.held.get(index).map_or(self.store, |held| held.boot(self.store)),
+            from: index.checked_sub(1).and_then(|i| self.held.get(i)).map_or(0, |held| self.sequence(held) + 1),
             until: self.next,
             sensors: sensors.iter().copied().take(MAX_SENSORS).collect(),
             records: Vec::new(),
@@ -158,15 +181,17 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
         let mut left = bytes;
         for held in self.held.iter_mut().skip(index) {
             let mut scratch = [0; MAX_RECORD_LENGTH];
-            let length = postcard::to_slice(&held.record, &mut scratch).map_or(MAX_RECORD_LENGTH, |bytes| bytes.len());
-            let fits = length <= left && held.boot == batch.boot && held.is_due(pace);
-            if !fits || batch.records.push(held.record.clone()).is_err() {
-                batch.until = held.record.sequence;
+            let record = held.record(self.next);
+            let length = postcard::to_slice(&record, &mut scratch).map_or(MAX_RECORD_LENGTH, |bytes| bytes.len());
+            let fits = length <= left && held.boot(self.store) == batch.boot && held.is_due(pace);
+            let sequence = record.sequence;
+            if !fits || batch.records.push(record).is_err() {
+                batch.until = sequence;
                 break;
             }
             left -= length;
             self.resends = self.resends.saturating_add(u32::from(held.sent.is_some()));
-            held.sent = NonZeroU64::new(pace.now_us.max(1));
+            held.send(pace.now_us);
         }
         batch
     }
@@ -177,10 +202,14 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
             store: self.store,
             boot: self.store,
             from: 0,
-            until: self.held.first().map_or(self.next, |held| held.record.sequence),
+            until: self.held.first().map_or(self.next, |held| self.sequence(held)),
             sensors: sensors.iter().copied().take(MAX_SENSORS).collect(),
             records: Vec::new(),
         }
+    }
+
+    fn sequence(&self, held: &Held<SENSORS>) -> u64 {
+        held.sequence(self.next)
     }
 
     /// Makes room: of the older half, every second record goes.
@@ -200,8 +229,104 @@ impl<const RECORDS: usize> Outbox<RECORDS> {
     }
 }
 
-impl Held {
+impl<const SENSORS: usize> Held<SENSORS> {
+    fn new(sequence: u64, boot: u32, time_us: u64, readings: &[Reading]) -> Self {
+        let (mut variants, mut counts) = (0, [0; SENSORS]);
+        for (index, (place, reading)) in counts.iter_mut().zip(readings).enumerate() {
+            let (variant, value) = match *reading {
+                Reading::Ok(counts) => (0, counts),
+                Reading::Absent => (1, 0),
+                Reading::BusError => (2, 0),
+                Reading::OutOfRange(counts) => (3, counts),
+            };
+            variants |= variant << (2 * index);
+            *place = value;
+        }
+        Self {
+            sequence: sequence as u32,
+            sent: None,
+            time: [time_us as u16, (time_us >> 16) as u16, (time_us >> 32) as u16],
+            boot: boot as u16,
+            variants,
+            readings: readings.len().min(SENSORS) as u8,
+            counts,
+        }
+    }
+
+    fn sequence(&self, next: u64) -> u64 {
+        next - u64::from((next as u32).wrapping_sub(self.sequence))
+    }
+
+    /// Its boot, at or after the one in which the store began.
+    fn boot(&self, store: u32) -> u32 {
+        store.wrapping_add(u32::from(self.boot.wrapping_sub(store as u16)))
+    }
+
+    fn time_us(&self) -> u64 {
+        let [low, middle, high] = self.time.map(u64::from);
+        low | middle << 16 | high << 32
+    }
+
+    fn record(&self, next: u64) -> Record {
+        let counts = self.counts.iter().take(usize::from(self.readings)).enumerate();
+        let readings = counts.map(|(index, &counts)| match self.variants >> (2 * index) & 3 {
+            0 => Reading::Ok(counts),
+            1 => Reading::Absent,
+            2 => Reading::BusError,
+            _ => Reading::OutOfRange(counts),
+        });
+        Record { sequence: self.sequence(next), time_us: self.time_us(), readings: readings.collect() }
+    }
+
+    fn sent_us(&self) -> Option<u64> {
+        self.sent.map(|sent| u64::from(sent.get()) * SENT_UNIT_US)
+    }
+
+    fn send(&mut self, now_us: u64) {
+        self.sent = NonZeroU32::new((now_us.div_ceil(SENT_UNIT_US) as u32).max(1));
+    }
+
     fn is_due(&self, pace: Pace) -> bool {
-        self.sent.is_none_or(|sent| pace.now_us.saturating_sub(sent.get()) >= pace.resend_after_us)
+        self.sent_us().is_none_or(|sent| pace.now_us.saturating_sub(sent) >= pace.resend_after_us)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn reading() -> impl Strategy<Value = Reading> {
+        prop_oneof![
+            any::<i16>().prop_map(Reading::Ok),
+            Just(Reading::Absent),
+            Just(Reading::BusError),
+            any::<i16>().prop_map(Reading::OutOfRange),
+        ]
+    }
+
+    proptest! {
+        /// What is left out of a held record follows from the store, wherever the low halves wrap.
+        #[test]
+        fn a_held_record_is_given_back_as_it_was(
+            sequence in 0u64..1 << 62,
+            behind in 1u64..1 << 32,
+            store in any::<u32>(),
+            boots_later in 0u32..1 << 16,
+            time_us in 0u64..1 << 48,
+            readings in proptest::collection::vec(reading(), 0..=4),
+        ) {
+            let boot = store.saturating_add(boots_later);
+            let held = Held::<4>::new(sequence, boot, time_us, &readings);
+            prop_assert_eq!(held.boot(store), boot);
+            let record = held.record(sequence + behind);
+            prop_assert_eq!(record, Record { sequence, time_us, readings: readings.into_iter().collect() });
+        }
+    }
+
+    #[test]
+    fn four_sensors_take_28_bytes_a_record() {
+        assert_eq!(size_of::<Held<4>>(), 28);
     }
 }
