@@ -243,12 +243,9 @@ pub(super) fn format(description: &RunDescription, robot: &str, folder: &Path) -
             })
             .collect(),
     };
-    let text = toml::to_string(&raw)
-        .map_err(|error| WriteError::Content { file: folder.join(FILE), message: error.to_string() })?;
-    // What could not be read back is not written: the reader is the one place that knows the rules.
-    parse(folder, text.as_bytes())
-        .map_err(|error| WriteError::Content { file: folder.join(FILE), message: error.message })?;
-    Ok(text.into_bytes())
+    toml::to_string(&raw)
+        .map(String::into_bytes)
+        .map_err(|error| WriteError::Content { file: folder.join(FILE), message: error.to_string() })
 }
 
 /// How a robot's path is to stand in the run.toml of `folder`: relative where there is a way from one to the other,

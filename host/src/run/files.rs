@@ -1,6 +1,5 @@
 //! The files of a run folder as bytes: from the disk into a checked run, and from a run onto the disk, whole or not.
 
-use std::collections::HashSet;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -140,9 +139,9 @@ impl RunFiles {
     /// # Errors
     /// A run that could not be read back, or a robot description that cannot be copied along.
     pub fn of(run: &Run, folder: &Path) -> Result<Self, WriteError> {
-        check_visits(run, folder)?;
+        check_joint_counts(run, folder)?;
         let robot = description::robot_reference(&run.description.robot, &run.folder, folder)?;
-        Ok(Self {
+        let files = Self {
             run: description::format(&run.description, &robot, folder)?,
             poses: poses::format(run, folder)?,
             points: points::format(run, folder)?,
@@ -150,7 +149,12 @@ impl RunFiles {
             motion: motion::format(run, folder)?,
             distances: distances::format(run, folder)?,
             robot: robot_copy(run, folder, &robot)?,
-        })
+        };
+        // The reader is the one place that knows what a run must be.
+        match files.parse(folder) {
+            Ok(_) => Ok(files),
+            Err(error) => Err(WriteError::Content { file: error.file, message: error.message }),
+        }
     }
 
     /// Writes the files into a folder, which is created where it is missing; see [`super::write`].
@@ -248,25 +252,20 @@ fn robot_copy(run: &Run, folder: &Path, reference: &str) -> Result<Option<(PathB
     }
 }
 
-/// What the rows of one file cannot show: that visits are there, have the same joints, and each stands once.
-fn check_visits(run: &Run, folder: &Path) -> Result<(), WriteError> {
-    let wrong = |message: String| Err(WriteError::Content { file: folder.join(poses::FILE), message });
+/// Rows of unequal counts of joints could pass for rows of other columns.
+fn check_joint_counts(run: &Run, folder: &Path) -> Result<(), WriteError> {
     let joints = run.joint_count();
-    if joints == 0 {
-        return wrong("the run has no visit, or visits without joints; expected at least one of each".to_owned());
-    }
-    let mut seen = HashSet::new();
     for visit in &run.visits {
-        let counts =
-            [Some(visit.joints.len()), visit.commanded.as_ref().map(Vec::len), visit.approach.as_ref().map(Vec::len)];
-        if counts.into_iter().flatten().any(|count| count != joints) {
-            return wrong(format!(
-                "cycle {}, pose {} has another count of joints than the {joints} of the first visit",
-                visit.cycle, visit.pose
-            ));
-        }
-        if !seen.insert((visit.cycle, visit.pose)) {
-            return wrong(format!("cycle {}, pose {} stands twice; expected it once", visit.cycle, visit.pose));
+        let commanded = visit.commanded.as_ref().map_or(joints, Vec::len);
+        let approach = visit.approach.as_ref().map_or(joints, Vec::len);
+        if [visit.joints.len(), commanded, approach] != [joints; 3] {
+            return Err(WriteError::Content {
+                file: folder.join(poses::FILE),
+                message: format!(
+                    "cycle {}, pose {} has another count of joints than the first visit; expected {joints}",
+                    visit.cycle, visit.pose
+                ),
+            });
         }
     }
     Ok(())

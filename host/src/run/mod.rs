@@ -121,10 +121,11 @@ pub fn read(folder: &Path) -> Result<Run, InputError> {
 
 /// Writes a run into a folder, which is created where it is missing.
 ///
-/// What [`read`] gives back is the same run; the same run always gives the same bytes. All files are complete on the
-/// disk before the first takes its place, and run.toml comes last, so that a folder is a run only once it is whole. A
-/// file of an earlier run in that folder which this run does not have (say motion.csv) is removed. A robot description
-/// inside the folder that the run was read from is copied along.
+/// What was read is read back the same to the last bit, and the same run always gives the same bytes; a run put
+/// together by hand comes back with its visits in order of time and its names in the order of their points. All files
+/// are complete on the disk before the first takes its place, and run.toml comes last, so that a folder is a run only
+/// once it is whole. A file of an earlier run in that folder which this run does not have (say motion.csv) is removed.
+/// A robot description inside the folder that the run was read from is copied along.
 ///
 /// # Errors
 /// A run that could not be read back (a number that is not finite, unequal counts of joints, an unusable name), or a
