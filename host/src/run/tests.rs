@@ -126,7 +126,8 @@ fn writing_over_an_earlier_run_leaves_nothing_of_it() {
 fn what_could_not_be_read_back_is_not_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let target = folder.path().join("run");
-    let spoil: [(&str, fn(&mut Run)); 9] = [
+    type Spoil = fn(&mut Run);
+    let spoil: [(&str, Spoil); 9] = [
         ("a number is NaN", |run| run.visits[3].joints[1] = f64::NAN),
         ("another count of joints", |run| run.visits[3].joints.push(0.0)),
         ("stands twice", |run| run.visits[3].cycle = 0),
