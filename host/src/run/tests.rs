@@ -297,10 +297,19 @@ fn selections_that_mean_nothing_are_refused() {
 #[test]
 fn folds_keep_poses_and_cycles_whole() {
     let visits = small_run().visits;
-    assert_eq!(folds_by_pose(&visits, 2), Ok(vec![0, 1, 0, 0, 1, 0]));
-    assert_eq!(folds_by_pose(&visits, 3), Ok(vec![0, 1, 2, 0, 1, 2]));
-    assert_eq!(folds_by_cycle(&visits, 2), Ok(vec![0, 0, 0, 1, 1, 1]));
-    let error = folds_by_cycle(&visits, 5).expect_err("too many").to_string();
+    for seed in 0..20 {
+        let by_pose = folds_by_pose(&visits, 3, seed).expect("three poses");
+        assert_eq!(by_pose[..3], by_pose[3..], "both visits of a pose are in one fold");
+        let mut dealt = by_pose[..3].to_vec();
+        dealt.sort_unstable();
+        assert_eq!(dealt, [0, 1, 2], "no fold is empty");
+        assert_eq!(folds_by_pose(&visits, 3, seed), Ok(by_pose), "the same seed, the same folds");
+
+        let by_cycle = folds_by_cycle(&visits, 2, seed).expect("two cycles");
+        assert!(by_cycle[..3].iter().all(|&fold| fold == by_cycle[0]));
+        assert!(by_cycle[3..].iter().all(|&fold| fold == 1 - by_cycle[0]));
+    }
+    let error = folds_by_cycle(&visits, 5, 1).expect_err("too many").to_string();
     assert_eq!(error, "cannot split 2 cycles into 5 folds; expected 2 to 2");
-    assert!(folds_by_pose(&visits, 1).is_err());
+    assert!(folds_by_pose(&visits, 1, 1).is_err());
 }
