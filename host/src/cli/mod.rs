@@ -5,6 +5,7 @@ mod campaign;
 mod method_table;
 mod output;
 mod progress;
+mod simulate;
 mod validate;
 mod words;
 
@@ -25,6 +26,7 @@ struct Arguments {
 /// One variant a command; each is carried out by the file of its name.
 #[derive(Debug, Subcommand)]
 enum Command {
+    Simulate(simulate::Arguments),
     Calibrate(calibrate::Arguments),
     Validate(validate::Arguments),
 }
@@ -56,6 +58,7 @@ impl Failure {
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let outcome: Result<(), Failure> = match &arguments.command {
+        Command::Simulate(arguments) => simulate::run(arguments),
         Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
     };
