@@ -33,8 +33,8 @@ enum LossName {
 
 /// Identify the geometry and the thermal coefficients of an arm from a run folder
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  thermokin calibrate examples/ur10 --poses every:4 --out ur10.json\n\n\
-    identifies on every fourth pose and says how well the other poses are predicted.")]
+#[command(after_help = "Example:\n  thermokin calibrate host/data/ur10 --poses every:10 --out ur10.json\n\n\
+    identifies on every tenth pose and says how well the other poses are predicted.")]
 pub struct Arguments {
     /// The run folder
     run: PathBuf,

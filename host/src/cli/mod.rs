@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod campaign;
+mod demo;
 mod method_table;
 mod output;
 mod progress;
@@ -29,6 +30,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Calibrate(calibrate::Arguments),
     Validate(validate::Arguments),
+    Demo(demo::Arguments),
 }
 
 /// Why a command did not do what it was asked to: decides the exit code.
@@ -61,6 +63,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate::run(arguments),
         Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
+        Command::Demo(arguments) => demo::run(arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
