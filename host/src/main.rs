@@ -2,5 +2,7 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    // A reader that stops listening (`| head`) ends the program as it ends any other, without a word.
+    sigpipe::reset();
     thermokin::cli::main()
 }

@@ -144,16 +144,15 @@ pub fn calibrate(
         with_growth.extend((0..choice.terms.len()).map(Unknown::Growth));
         let start = State { growth: vec![0.0; choice.terms.len()], ..geometric.solution.state.clone() };
         joint = identify(&campaign, with_growth, start, &request.manner);
-        // What was held at the nominal start stays in words: the second start is no longer nominal.
-        joint.observability = geometric.observability.clone();
+        // Observability is the geometry's: of a parameter and its growth together it would be another question.
+        joint.sensitivity = geometric.sensitivity.clone();
     }
     if !joint.solution.stop.converged() {
         let words = joint.solution.stop.words().to_owned();
         return Err(CalibrationError::NotConverged(words));
     }
     let state = joint.solution.state.clone();
-    let uncertainty =
-        uncertainty(&Problem::new(&campaign, joint.unknowns.clone(), &state), &state, &joint.solution.factor);
+    let uncertainty = uncertainty(&Problem::new(&campaign, joint.unknowns.clone(), &state), &state);
 
     // The model of the reference cycle alone, as far as its poses suffice.
     let cold = campaign.select(|visit| visit.cycle == reference_cycle);

@@ -74,10 +74,11 @@ struct PostureSums {
     cross: DMatrix<f64>,
 }
 
-/// Estimates the strata of noise and the covariance of the unknowns of a problem at its solution, where `factor` was
-/// linearised.
-pub fn uncertainty(problem: &Problem<'_>, state: &State, factor: &OrthogonalFactor) -> Uncertainty {
-    let unknowns = factor.unknowns();
+/// Estimates the strata of noise and the covariance of the unknowns of a problem at its solution.
+pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
+    let unknowns = problem.unknowns().len();
+    let mut factor = OrthogonalFactor::new(unknowns);
+    problem.linearise(state, &mut problem.scratch(), &mut factor);
     let r_inverse = factor
         .matrix()
         .solve_upper_triangular(&DMatrix::identity(unknowns, unknowns))

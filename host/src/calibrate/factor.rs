@@ -121,6 +121,31 @@ impl OrthogonalFactor {
         (0..self.unknowns()).map(|i| self.entry(i, self.columns - 1)).collect()
     }
 
+    /// Puts another right-hand side beside `R`: `z = R⁻ᵀ Jᵀe` from a gradient `Jᵀe` at a state nearby.
+    ///
+    /// A Gauss-Newton step from there needs no new factor as long as `J` has hardly changed.
+    pub fn set_gradient(&mut self, gradient: &[f64]) {
+        let last = self.columns - 1;
+        let mut z = gradient.to_vec();
+        for i in 0..last {
+            let row = &self.triangle[i * self.columns..(i + 1) * self.columns];
+            let value = z[i] / row[i];
+            z[i] = value;
+            for (rest, entry) in z[i + 1..].iter_mut().zip(&row[i + 1..last]) {
+                *rest -= entry * value;
+            }
+        }
+        self.set_right_hand_side(&z);
+    }
+
+    /// Puts another `z` beside `R`.
+    pub fn set_right_hand_side(&mut self, z: &[f64]) {
+        let last = self.columns - 1;
+        for (row, value) in self.triangle.chunks_exact_mut(self.columns).zip(z) {
+            row[last] = *value;
+        }
+    }
+
     /// The norm of what no unknown can reach, `ρ`.
     pub fn remainder(&self) -> f64 {
         self.entry(self.columns - 1, self.columns - 1).abs()
@@ -137,6 +162,25 @@ impl OrthogonalFactor {
         for i in 0..self.unknowns() {
             for (square, entry) in squares[i..].iter_mut().zip(self.row(i)) {
                 *square += entry * entry;
+            }
+        }
+        squares.into_iter().map(f64::sqrt).collect()
+    }
+
+    /// The Euclidean norm of each row of `R⁻¹`: the standard deviations of the unknowns for rows of variance one.
+    pub fn inverse_row_norms(&self) -> Vec<f64> {
+        let unknowns = self.unknowns();
+        let mut squares = vec![0.0; unknowns];
+        // Column j of R⁻¹ by back substitution on a unit vector, which leaves the rows below j zero.
+        let mut column = vec![0.0; unknowns];
+        for j in 0..unknowns {
+            column[j] = 1.0 / self.entry(j, j);
+            squares[j] += column[j] * column[j];
+            for i in (0..j).rev() {
+                let row = self.row(i);
+                let sum: f64 = row[1..=j - i].iter().zip(&column[i + 1..=j]).map(|(entry, known)| entry * known).sum();
+                column[i] = -sum / row[0];
+                squares[i] += column[i] * column[i];
             }
         }
         squares.into_iter().map(f64::sqrt).collect()

@@ -1,12 +1,14 @@
 //! Geometric identification: which unknowns the data can tell apart, and their values.
 
+use nalgebra::DMatrix;
+
 use super::align::target_unknowns;
 use super::campaign::Campaign;
 use super::factor::OrthogonalFactor;
 use super::problem::Problem;
 use super::rank::{self, Held, Observability};
 use super::robust::Loss;
-use super::solve::{Solution, Stopping, solve_robust};
+use super::solve::{Solution, Stopping, solve_from, solve_robust};
 use super::unknown::{State, Unknown, keep_order};
 use crate::robot::Symbol;
 
@@ -60,8 +62,8 @@ pub struct Identification {
     pub held: Vec<Held>,
     /// The unknowns that the data tell so weakly that they are held as well.
     pub weak: Vec<Weak>,
-    /// The observability of all unknowns that are not `held`, at the start.
-    pub observability: Observability,
+    /// `R` of all unknowns that are not `held`, at the start: what observability is judged by.
+    pub sensitivity: DMatrix<f64>,
     /// The state and how it was reached.
     pub solution: Solution,
 }
@@ -91,34 +93,34 @@ pub struct Manner {
 /// Identifies unknowns from a campaign: what these data cannot tell apart is held where it is, the rest is found.
 pub fn identify(campaign: &Campaign, mut unknowns: Vec<Unknown>, start: State, manner: &Manner) -> Identification {
     keep_order(&campaign.chain, &mut unknowns);
-    let problem = Problem::new(campaign, unknowns, &start);
+    let mut problem = Problem::new(campaign, unknowns, &start);
     let mut factor = OrthogonalFactor::new(problem.unknowns().len());
-    problem.linearise(&start, &mut problem.scratch(), &mut factor);
-    let (mut kept, held) = rank::split(&factor, problem.unknowns());
-    let sigma = campaign.visits.first().map_or(1.0, |visit| visit.sigma);
-    let observability = rank::observability(&factor, &kept, sigma, campaign.visits.len());
-    let mut weak = Vec::new();
-    if !manner.keep_weak {
-        while let Some((column, sigma)) = weakest(campaign, &factor, problem.unknowns(), &kept) {
-            kept.retain(|&other| other != column);
-            let moves_with = rank::nearly(&factor, column, &kept, problem.unknowns());
-            weak.push(Weak { unknown: problem.unknowns()[column], sigma, moves_with });
-        }
+    let loss = problem.linearise(&start, &mut problem.scratch(), &mut factor);
+    let (kept, held) = rank::split(&factor, problem.unknowns());
+    let mut unknowns = problem.unknowns().to_vec();
+    if !held.is_empty() {
+        factor = factor.columns(&kept);
+        unknowns = kept.into_iter().map(|column| unknowns[column]).collect();
     }
-    let unknowns: Vec<Unknown> = kept.into_iter().map(|column| problem.unknowns()[column]).collect();
-    let mut problem = Problem::new(campaign, unknowns.clone(), &start);
-    let solution = solve_robust(&mut problem, start, &manner.stopping, manner.loss);
-    Identification { unknowns, held, weak, observability, solution }
+    let sensitivity = factor.matrix();
+    let mut weak = Vec::new();
+    while let Some((column, sigma)) = (!manner.keep_weak).then(|| weakest(campaign, &factor, &unknowns)).flatten() {
+        let rest: Vec<usize> = (0..unknowns.len()).filter(|&other| other != column).collect();
+        let moves_with = rank::nearly(&factor, column, &rest, &unknowns);
+        weak.push(Weak { unknown: unknowns.remove(column), sigma, moves_with });
+        factor = factor.columns(&rest);
+    }
+    if unknowns.len() < problem.unknowns().len() {
+        problem = Problem::new(campaign, unknowns.clone(), &start);
+    }
+    let first = solve_from(&problem, start, loss, factor, &manner.stopping);
+    let solution = solve_robust(&mut problem, first, &manner.stopping, manner.loss);
+    Identification { unknowns, held, weak, sensitivity, solution }
 }
 
-/// The kept column of the arm's own parameters whose standard deviation is furthest beyond the plausible, with that
-/// standard deviation. Noise is judged by what one step would leave of the residuals.
-fn weakest(
-    campaign: &Campaign,
-    factor: &OrthogonalFactor,
-    unknowns: &[Unknown],
-    kept: &[usize],
-) -> Option<(usize, f64)> {
+/// The unknown among the arm's own parameters whose standard deviation is furthest beyond the plausible, by its column, with
+/// that standard deviation. Noise is judged by what one step would leave of the residuals.
+fn weakest(campaign: &Campaign, factor: &OrthogonalFactor, unknowns: &[Unknown]) -> Option<(usize, f64)> {
     let own = |column: usize| match unknowns[column] {
         Unknown::Parameter(place) => {
             let id = campaign.chain.parameters()[place];
@@ -127,16 +129,21 @@ fn weakest(
         }
         _ => false,
     };
-    let part = factor.columns(kept);
-    let freedom = part.rows().saturating_sub(kept.len()).max(1) as f64;
-    // Residual of the campaign beyond the reach of the kept columns; noise is never less than the instrument's.
-    let noise = (part.remainder().powi(2) / freedom).max(1.0).sqrt();
-    let identity = nalgebra::DMatrix::identity(kept.len(), kept.len());
-    let inverse = part.matrix().solve_upper_triangular(&identity)?;
-    kept.iter()
-        .enumerate()
-        .filter(|(_, column)| own(**column))
-        .map(|(row, &column)| (column, noise * inverse.row(row).norm()))
+    let freedom = factor.rows().saturating_sub(unknowns.len()).max(1) as f64;
+    // What is beyond the reach of the unknowns; noise is never less than the instrument's.
+    let noise = (factor.remainder().powi(2) / freedom).max(1.0).sqrt();
+    let deviations = factor.inverse_row_norms();
+    (0..unknowns.len())
+        .filter(|&column| own(column))
+        .map(|column| (column, noise * deviations[column]))
         .filter(|(_, sigma)| *sigma > PLAUSIBLE_ERROR)
         .max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+impl Identification {
+    /// The observability of the unknowns that are not held, weakly determined ones included.
+    pub fn observability(&self, campaign: &Campaign) -> Observability {
+        let sigma = campaign.visits.first().map_or(1.0, |visit| visit.sigma);
+        rank::observability(&self.sensitivity, sigma, campaign.visits.len())
+    }
 }

@@ -32,6 +32,6 @@ pub use problem::{Problem, Scratch, VisitRows};
 pub use rank::{Held, Observability, in_words, observability};
 pub use recursive::Recursive;
 pub use robust::Loss;
-pub use solve::{Solution, Stop, Stopping, solve, solve_robust};
+pub use solve::{Solution, Stop, Stopping, solve, solve_from};
 pub use unknown::{GrowthTerm, Names, State, Unknown, keep_order};
 pub use validation::{Group, LEVELS, Refit, Validation, validate};

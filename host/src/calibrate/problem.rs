@@ -327,6 +327,53 @@ impl<'a> Problem<'a> {
         0.5 * sum
     }
 
+    /// Whether [`Problem::gradient`] can be had: positions alone, each with its full weight.
+    pub fn has_gradient(&self) -> bool {
+        self.weights.is_none()
+            && self.campaign.visits.iter().all(|visit| visit.turns.is_empty() && visit.distances.is_empty())
+    }
+
+    /// The gradient `Jᵀe` at a state without the rows of `J`, and the loss. Only where [`Problem::has_gradient`].
+    ///
+    /// The residuals of a visit are forces at its targets; what they do along a parameter's twist is the product of twist
+    /// and wrench.
+    pub fn gradient(&self, state: &State, scratch: &mut Scratch, gradient: &mut Vec<f64>) -> f64 {
+        gradient.clear();
+        gradient.resize(self.unknowns.len(), 0.0);
+        let mut sum = 0.0;
+        self.each_visit(state, |_, visit, prepared, _| {
+            let flange = prepared.twists(&visit.posture, &mut scratch.parameters, &mut scratch.joints);
+            let weight = 1.0 / (visit.sigma * visit.sigma);
+            let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
+            for position in &visit.positions {
+                let place = &state.geometry.targets[position.target];
+                let e = flange.local(&position.at) - place;
+                sum += weight * e.norm_squared();
+                force += e;
+                moment += place.cross(&e);
+                for (axis, column) in self.columns.target[position.target].iter().enumerate() {
+                    if let Some(column) = *column {
+                        gradient[column] += weight * e[axis];
+                    }
+                }
+            }
+            force *= weight;
+            moment *= weight;
+            let along = |twist: &Twist| {
+                let [wx, wy, wz] = twist.angular;
+                let [vx, vy, vz] = twist.linear;
+                (wx * moment.x + wy * moment.y + wz * moment.z) + (vx * force.x + vy * force.y + vz * force.z)
+            };
+            for &(place, column) in &self.free_parameters {
+                gradient[column] += along(&scratch.parameters[place]);
+            }
+            for &(place, sensor, column) in &self.columns.growth {
+                gradient[column] += along(&scratch.parameters[place]) * visit.rises[sensor];
+            }
+        });
+        0.5 * sum
+    }
+
     /// Pushes the rows of one visit. Returns its sum of squares, what lies within the visit included.
     #[expect(clippy::too_many_arguments, reason = "the parts of one inner loop")]
     fn push_visit(

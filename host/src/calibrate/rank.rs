@@ -165,15 +165,17 @@ pub struct Observability {
     pub indices: [f64; 5],
 }
 
-/// Singular values and observability indices of the kept columns of a factor.
+/// Singular values and observability indices from the factor `R` of a whitened Jacobian.
 ///
 /// `sigma` is the standard deviation that rows were divided by (the indices are those of the Jacobian before whitening),
 /// `visits` the number of poses measured.
-pub fn observability(factor: &OrthogonalFactor, kept: &[usize], sigma: f64, visits: usize) -> Observability {
-    let full = factor.matrix();
-    let norms = factor.column_norms();
-    let plain = DMatrix::from_fn(full.nrows(), kept.len(), |i, j| full[(i, kept[j])] * sigma);
-    let scaled = DMatrix::from_fn(full.nrows(), kept.len(), |i, j| full[(i, kept[j])] / norms[kept[j]]);
+pub fn observability(r: &DMatrix<f64>, sigma: f64, visits: usize) -> Observability {
+    let plain = r * sigma;
+    let mut scaled = r.clone();
+    for mut column in scaled.column_iter_mut() {
+        let norm = column.norm();
+        column /= norm;
+    }
     let sorted = |matrix: DMatrix<f64>| {
         let mut values: Vec<f64> = matrix.singular_values().iter().copied().collect();
         values.sort_by(|a, b| b.total_cmp(a));
@@ -197,5 +199,5 @@ pub fn observability(factor: &OrthogonalFactor, kept: &[usize], sigma: f64, visi
         smallest * smallest / largest,
         1.0 / singular_values.iter().map(|value| 1.0 / value).sum::<f64>(),
     ];
-    Observability { rank: kept.len(), singular_values, condition, indices }
+    Observability { rank: r.ncols(), singular_values, condition, indices }
 }

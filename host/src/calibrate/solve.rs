@@ -60,11 +60,11 @@ impl Stop {
 pub struct Solution {
     /// The state found.
     pub state: State,
-    /// The factor at the last linearisation, which is within the last step's reach of `state`.
+    /// The factor at the last linearisation, from which the last steps were near enough not to make it anew.
     pub factor: OrthogonalFactor,
     /// The loss at the start.
     pub initial_loss: f64,
-    /// The loss at the last linearisation.
+    /// The loss before the last step, which does not change it any more.
     pub loss: f64,
     /// Steps taken.
     pub steps: usize,
@@ -137,27 +137,45 @@ impl Damping {
     }
 }
 
+/// A factor is kept as long as each step leaves at most this share of what the step before it promised.
+const FAITHFUL: f64 = 0.01;
+
 /// Finds the state that minimises a problem's loss, from a start. All unknowns must be identifiable.
-///
-/// The loss is half the sum of squares; its change by the coming step is known beforehand from the factor, so that the
-/// step after which it would settle is the last, without evaluating once more to see it.
 pub fn solve(problem: &Problem<'_>, start: State, stopping: &Stopping) -> Solution {
     let mut factor = OrthogonalFactor::new(problem.unknowns().len());
-    let mut scratch = problem.scratch();
-    let mut state = start;
-    let mut loss = problem.linearise(&state, &mut scratch, &mut factor);
+    let loss = problem.linearise(&start, &mut problem.scratch(), &mut factor);
+    solve_from(problem, start, loss, factor, stopping)
+}
+
+/// Finds the state that minimises a problem's loss, from a start at which the problem is linearised already.
+///
+/// The change of the loss by the coming step is known beforehand from the factor, so that the step after which it would
+/// settle is the last, without evaluating once more to see it. A model as mildly nonlinear as an arm's hardly changes its
+/// Jacobian over a step: the next step then needs the exact gradient, but no new factor. The factor is made anew when a
+/// step does worse than that.
+pub fn solve_from(
+    problem: &Problem<'_>,
+    start: State,
+    loss: f64,
+    factor: OrthogonalFactor,
+    stopping: &Stopping,
+) -> Solution {
     let initial_loss = loss;
+    let (mut state, mut loss, mut factor) = (start, loss, factor);
+    let mut scratch = problem.scratch();
+    let mut next: Option<OrthogonalFactor> = None;
+    let mut gradient = Vec::new();
+    let cheap = problem.has_gradient();
     let (mut steps, mut damped) = (0, 0);
-    let mut next = factor.clone();
     let mut damping: Option<Damping> = None;
     let stop = loop {
         if steps == stopping.steps {
             break Stop::StepsExhausted;
         }
         let tolerance = stopping.loss_absolute.max(stopping.loss_relative * loss);
-        let settled = decrement(&factor) <= tolerance;
-        let vanished = scaled_gradient(&factor) <= stopping.gradient;
-        if settled || vanished {
+        let before = decrement(&factor);
+        let settled = before <= tolerance;
+        if settled || scaled_gradient(&factor) <= stopping.gradient {
             // The last step: it is taken unless it lies beyond the numbers.
             let trial = state.moved(problem.unknowns(), &factor.solve());
             if trial.geometry.parameters.iter().all(|value| value.is_finite()) {
@@ -166,8 +184,20 @@ pub fn solve(problem: &Problem<'_>, start: State, stopping: &Stopping) -> Soluti
             }
             break if settled { Stop::LossSettled } else { Stop::GradientVanished };
         }
+        if let (true, None) = (cheap, damping) {
+            let trial = state.moved(problem.unknowns(), &factor.solve());
+            let trial_loss = problem.gradient(&trial, &mut scratch, &mut gradient);
+            let here = factor.right_hand_side();
+            factor.set_gradient(&gradient);
+            if trial_loss < loss && decrement(&factor) <= FAITHFUL * before {
+                (state, loss) = (trial, trial_loss);
+                steps += 1;
+                continue;
+            }
+            factor.set_right_hand_side(&here);
+        }
         let (step, promised) = match &damping {
-            None => (factor.solve(), decrement(&factor)),
+            None => (factor.solve(), before),
             Some(damping) => {
                 let step = factor.solve_damped(damping.mu);
                 let promised = promise(&factor, &step);
@@ -175,12 +205,13 @@ pub fn solve(problem: &Problem<'_>, start: State, stopping: &Stopping) -> Soluti
             }
         };
         let trial = state.moved(problem.unknowns(), &step);
-        let trial_loss = problem.linearise(&trial, &mut scratch, &mut next);
+        let into = next.get_or_insert_with(|| OrthogonalFactor::new(problem.unknowns().len()));
+        let trial_loss = problem.linearise(&trial, &mut scratch, into);
         let gain = (loss - trial_loss) / promised;
         if gain.is_finite() && gain > LEAST_GAIN {
             state = trial;
             loss = trial_loss;
-            std::mem::swap(&mut factor, &mut next);
+            std::mem::swap(&mut factor, into);
             steps += 1;
             damped += usize::from(damping.is_some());
             damping = damping.and_then(|damping| damping.relaxed(gain));
@@ -189,6 +220,10 @@ pub fn solve(problem: &Problem<'_>, start: State, stopping: &Stopping) -> Soluti
             if harder.mu > 1e12 {
                 break Stop::NoDescent;
             }
+            if damping.is_none() {
+                // A factor from elsewhere may be to blame: the damped steps get their own.
+                loss = problem.linearise(&state, &mut scratch, &mut factor);
+            }
             damping = Some(harder);
         }
     };
@@ -196,9 +231,9 @@ pub fn solve(problem: &Problem<'_>, start: State, stopping: &Stopping) -> Soluti
 }
 
 /// Finds the state that minimises a robust loss by iteratively reweighted least squares: points far from the rest count
-/// less, none is deleted.
-pub fn solve_robust(problem: &mut Problem<'_>, start: State, stopping: &Stopping, loss: Loss) -> Solution {
-    let mut solution = solve(problem, start, stopping);
+/// less, none is deleted. `first` is the solution by least squares.
+pub(super) fn solve_robust(problem: &mut Problem<'_>, first: Solution, stopping: &Stopping, loss: Loss) -> Solution {
+    let mut solution = first;
     if loss == Loss::Squares {
         return solution;
     }

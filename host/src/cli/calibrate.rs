@@ -234,7 +234,7 @@ fn say(arguments: &Arguments, calibration: &Calibration, unseen: Option<&Unseen>
         if joint.solution.damped > 0 { format!(" ({} damped)", joint.solution.damped) } else { String::new() },
         joint.unknowns.len(),
         joint.unknowns.len() + joint.held.len() + joint.weak.len(),
-        joint.observability.condition,
+        joint.observability(&calibration.campaign).condition,
     );
     for line in calibration.unidentifiable().iter().chain(&calibration.weak()) {
         println!("  {line}");
@@ -329,7 +329,7 @@ fn as_json(calibration: &Calibration, unseen: Option<&Unseen>, folded: Option<&H
         })
         .collect();
     let joint = &calibration.joint;
-    let observability = &joint.observability;
+    let observability = joint.observability(&calibration.campaign);
     let noise = &calibration.uncertainty.noise;
     let mut result = json!({
         "format": 1, "command": "calibrate",

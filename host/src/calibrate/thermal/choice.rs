@@ -1,8 +1,9 @@
 //! Which parameters follow which sensors, chosen from the data: physical neighbours first, held-out cycles deciding.
 //!
-//! Around the geometric solution everything is linear. All candidate columns (a parameter's column times a sensor's rise)
-//! are summed once into products, cycle by cycle; a forward search then adds the pair that lowers the error of held-out
-//! cycles most, until none lowers it by more than its own uncertainty.
+//! Around the geometric solution everything is linear, and a candidate's column is a parameter's column times a sensor's
+//! rise, which is one number a visit: with a visit's products `G` of parameters and its rises `w`, the products of all
+//! candidates are `G ⊗ w wᵀ`. They are summed once, group of cycles by group of cycles; a forward search then adds the pair
+//! that lowers the error of held-out cycles most, until none lowers it by more than its own uncertainty.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -60,45 +61,25 @@ pub fn choose(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &
 }
 
 struct Search {
-    /// Candidates with whether they are neighbours.
-    candidates: Vec<(GrowthTerm, bool)>,
-    geometric: usize,
-    /// Products of `[geometry | candidates | e]` over each group of cycles.
+    /// Pairs that may be chosen.
+    candidates: Vec<Candidate>,
+    /// Columns of the geometric unknowns among the products.
+    geometric: Vec<usize>,
+    /// The column of the residual.
+    right: usize,
+    /// Products of all columns over each group of cycles.
     groups: Vec<DMatrix<f64>>,
     rows: Vec<f64>,
     total: DMatrix<f64>,
 }
 
-/// Rows that wait to be multiplied into the products of their group: many at once are cheaper.
-struct Batch {
-    rows: DMatrix<f64>,
-    filled: usize,
-}
-
-impl Batch {
-    const ROWS: usize = 512;
-
-    fn new(width: usize) -> Self {
-        Self { rows: DMatrix::zeros(Self::ROWS, width), filled: 0 }
-    }
-
-    /// Adds a row to those that wait.
-    fn push(&mut self, group: &mut DMatrix<f64>, entry: impl Fn(usize) -> f64) {
-        if self.filled == Self::ROWS {
-            self.add_to(group);
-        }
-        for column in 0..self.rows.ncols() {
-            self.rows[(self.filled, column)] = entry(column);
-        }
-        self.filled += 1;
-    }
-
-    /// Takes what waits into the products.
-    fn add_to(&mut self, group: &mut DMatrix<f64>) {
-        let rows = self.rows.rows(0, self.filled);
-        group.gemm_tr(1.0, &rows, &rows, 1.0);
-        self.filled = 0;
-    }
+/// A pair that may be chosen.
+struct Candidate {
+    term: GrowthTerm,
+    /// Whether the sensor sits on a link that the parameter belongs to.
+    near: bool,
+    /// Its column among the products.
+    column: usize,
 }
 
 impl Search {
@@ -110,19 +91,21 @@ impl Search {
                 high - low > LEAST_RISE
             })
             .collect();
+        // Columns: unknown by unknown, the residual last; for each the plain column first, then times each rise.
+        let block = 1 + rising.len();
+        let plain_columns = unknowns.len() + 1;
         let link = |sensor: usize| robot.sensor(&campaign.sensors[sensor]).map(|place| robot.sensors[place].link);
         let mut candidates = Vec::new();
-        let mut sources = Vec::new();
-        for (column, unknown) in unknowns.iter().enumerate() {
+        for (place, unknown) in unknowns.iter().enumerate() {
             let &Unknown::Parameter(parameter) = unknown else { continue };
             let ParameterId { transform, .. } = campaign.chain.parameters()[parameter];
             if transform == 0 {
                 continue;
             }
-            for &sensor in &rising {
+            for (rank, &sensor) in rising.iter().enumerate() {
                 let near = link(sensor).is_some_and(|link| link + 1 == transform || link == transform);
-                candidates.push((GrowthTerm { parameter, sensor }, near));
-                sources.push((column, sensor));
+                let term = GrowthTerm { parameter, sensor };
+                candidates.push(Candidate { term, near, column: place * block + 1 + rank });
             }
         }
         let mut cycles: Vec<u32> = campaign.visits.iter().map(|visit| visit.cycle).collect();
@@ -131,34 +114,42 @@ impl Search {
         let count = cycles.len().clamp(1, MOST_GROUPS);
         // Neighbouring cycles are alike: a group is a stretch of cycles, so that what is held out is new.
         let group_of = |cycle: u32| cycles.binary_search(&cycle).unwrap_or(0) * count / cycles.len();
-        let geometric = unknowns.len();
-        let width = geometric + candidates.len() + 1;
+        let width = plain_columns * block;
         let mut groups = vec![DMatrix::zeros(width, width); count];
         let mut rows = vec![0.0; count];
         let plain = Campaign { growth: Vec::new(), ..campaign.clone() };
         let start = State { growth: Vec::new(), ..state.clone() };
         let problem = Problem::new(&plain, unknowns.to_vec(), &start);
-        let mut waiting: Vec<Batch> = (0..count).map(|_| Batch::new(width)).collect();
+        let mut weights = vec![1.0; block];
         problem.each_visit_rows(&start, |visit, part| {
             let group = group_of(visit.cycle);
-            let batch = &mut waiting[group];
-            for row in 0..part.residual.len() {
-                batch.push(&mut groups[group], |column| match column {
-                    _ if column < geometric => part.jacobian[(row, column)],
-                    _ if column == width - 1 => part.residual[row],
-                    _ => {
-                        let (source, sensor) = sources[column - geometric];
-                        part.jacobian[(row, source)] * visit.rises[sensor]
-                    }
-                });
-            }
             rows[group] += part.residual.len() as f64;
+            let mut visit_rows = part.jacobian.insert_column(unknowns.len(), 0.0);
+            visit_rows.set_column(unknowns.len(), &part.residual);
+            let products = visit_rows.tr_mul(&visit_rows);
+            for (weight, &sensor) in weights[1..].iter_mut().zip(&rising) {
+                *weight = visit.rises[sensor];
+            }
+            let sums = groups[group].as_mut_slice();
+            // The upper half of the blocks is enough; it is mirrored below.
+            for j in 0..plain_columns {
+                for i in 0..=j {
+                    let product = products[(i, j)];
+                    for (t, weight) in weights.iter().enumerate() {
+                        let start = (j * block + t) * width + i * block;
+                        for (sum, other) in sums[start..start + block].iter_mut().zip(&weights) {
+                            *sum += product * weight * other;
+                        }
+                    }
+                }
+            }
         });
-        for (batch, group) in waiting.iter_mut().zip(&mut groups) {
-            batch.add_to(group);
+        for group in &mut groups {
+            group.fill_lower_triangle_with_upper_triangle();
         }
         let total = groups.iter().fold(DMatrix::zeros(width, width), |sum, group| sum + group);
-        Self { candidates, geometric, groups, rows, total }
+        let geometric = (0..unknowns.len()).map(|place| place * block).collect();
+        Self { candidates, geometric, right: unknowns.len() * block, groups, rows, total }
     }
 
     fn run(&self) -> Choice {
@@ -175,7 +166,7 @@ impl Search {
             errors = next;
         }
         Choice {
-            terms: chosen.iter().map(|&candidate| self.candidates[candidate].0).collect(),
+            terms: chosen.iter().map(|&candidate| self.candidates[candidate].term).collect(),
             by: ChosenBy::HeldOutCycles,
             held_out: history,
         }
@@ -183,7 +174,11 @@ impl Search {
 
     /// The columns of geometry and of chosen candidates.
     fn columns(&self, chosen: &[usize]) -> Vec<usize> {
-        (0..self.geometric).chain(chosen.iter().map(|candidate| self.geometric + candidate)).collect()
+        self.geometric
+            .iter()
+            .copied()
+            .chain(chosen.iter().map(|&candidate| self.candidates[candidate].column))
+            .collect()
     }
 
     /// Mean squared residual of each group when it is predicted from the others; none where the others do not suffice.
@@ -192,7 +187,7 @@ impl Search {
             return None;
         }
         let columns = self.columns(chosen);
-        let right = self.total.ncols() - 1;
+        let right = self.right;
         self.groups
             .iter()
             .zip(&self.rows)
@@ -242,7 +237,7 @@ impl Search {
     /// What each unused candidate would take off the sum of squares of all cycles.
     fn promises(&self, chosen: &[usize], near: bool) -> Vec<(usize, f64)> {
         let columns = self.columns(chosen);
-        let right = self.total.ncols() - 1;
+        let right = self.right;
         let scale: Vec<f64> = columns.iter().map(|&c| 1.0 / self.total[(c, c)].max(f64::MIN_POSITIVE).sqrt()).collect();
         let normal = DMatrix::from_fn(columns.len(), columns.len(), |i, j| {
             self.total[(columns[i], columns[j])] * scale[i] * scale[j]
@@ -251,9 +246,9 @@ impl Search {
         let slope = DVector::from_fn(columns.len(), |i, _| self.total[(columns[i], right)] * scale[i]);
         let solved = cholesky.solve(&slope);
         (0..self.candidates.len())
-            .filter(|candidate| self.candidates[*candidate].1 == near && !chosen.contains(candidate))
+            .filter(|candidate| self.candidates[*candidate].near == near && !chosen.contains(candidate))
             .filter_map(|candidate| {
-                let column = self.geometric + candidate;
+                let column = self.candidates[candidate].column;
                 let cross = DVector::from_fn(columns.len(), |i, _| self.total[(columns[i], column)] * scale[i]);
                 let own = self.total[(column, column)] - cross.dot(&cholesky.solve(&cross));
                 let response = self.total[(column, right)] - cross.dot(&solved);
