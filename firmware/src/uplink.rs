@@ -1,0 +1,286 @@
+//! The uplink: finds the host, sends what the link has to say over UDP, and hands back what the host answers.
+//!
+//! In live mode the radio stays up. In burst mode it is down until a batch has come together; then it comes up until
+//! the store is empty or the host stays silent, and a host that stays silent is tried less and less often.
+
+use core::net::Ipv4Addr;
+
+use embassy_futures::select::{Either3, select3};
+use embassy_net::dns::DnsQueryType;
+use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_net::{IpAddress, IpEndpoint, Stack};
+use embassy_time::{Duration, Instant, Timer, with_timeout};
+use thermokin_protocol::{Configuration, MAX_DATAGRAM, PowerMode};
+
+use crate::board::{Radio, Shared};
+use crate::log::{alarm, info};
+
+/// Datagrams that wait in the socket, each way.
+const QUEUE: usize = 2;
+/// The longest wait between two rounds of the loop: the vigil wants to see it come round.
+const ROUND: Duration = Duration::from_secs(1);
+/// The longest that a burst waits for the network to come up.
+const JOINING: Duration = Duration::from_secs(15);
+/// The longest that a burst waits for the host to answer.
+const SILENCE: Duration = Duration::from_secs(3);
+/// A host that was not heard for this long is looked up again: it may have another address by now.
+const LOOK_AGAIN: Duration = Duration::from_secs(60);
+/// The first wait after a look-up that failed; it doubles.
+const FIRST_RETRY: Duration = Duration::from_secs(1);
+/// The wait after a look-up that failed doubles up to here.
+const LAST_RETRY: Duration = Duration::from_secs(60);
+/// Bursts that found no host are followed by up to 2^4 times as many records.
+const MAX_DOUBLINGS: u32 = 4;
+
+/// Sends the link's datagrams to the host and takes its answers.
+pub(crate) struct Uplink<'a, R> {
+    stack: Stack<'a>,
+    radio: R,
+    configuration: &'a Configuration,
+}
+
+/// How a burst ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Burst {
+    /// The host has everything.
+    Done,
+    /// The network did not come up, or the host did not answer.
+    Alone,
+}
+
+impl<'a, R: Radio> Uplink<'a, R> {
+    /// An uplink over a network to the host that the configuration names.
+    pub(crate) fn new(stack: Stack<'a>, radio: R, configuration: &'a Configuration) -> Self {
+        Self { stack, radio, configuration }
+    }
+
+    /// Runs for ever.
+    pub(crate) async fn run<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>) {
+        let (mut receive_metadata, mut send_metadata) =
+            ([PacketMetadata::EMPTY; QUEUE], [PacketMetadata::EMPTY; QUEUE]);
+        let (mut receive_buffer, mut send_buffer) = ([0; QUEUE * MAX_DATAGRAM], [0; QUEUE * MAX_DATAGRAM]);
+        let mut socket = UdpSocket::new(
+            self.stack,
+            &mut receive_metadata,
+            &mut receive_buffer,
+            &mut send_metadata,
+            &mut send_buffer,
+        );
+        // Port 0 lets the stack choose; a socket that was just made is not bound yet, so this cannot fail.
+        if socket.bind(0).is_err() {
+            return;
+        }
+        let mut host = None;
+        loop {
+            let mode = shared.link.borrow().settings().power;
+            match mode {
+                PowerMode::Live => {
+                    self.switch_on(shared).await;
+                    self.live(shared, &socket, &mut host).await;
+                }
+                PowerMode::Burst => {
+                    self.switch_off(shared).await;
+                    self.bursts(shared, &socket, &mut host).await;
+                }
+            }
+        }
+    }
+
+    async fn switch_on<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>) {
+        self.radio.up().await;
+        shared.duty.borrow_mut().radio_switched_on(Instant::now());
+    }
+
+    async fn switch_off<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>) {
+        self.radio.down().await;
+        shared.duty.borrow_mut().radio_switched_off(Instant::now());
+    }
+
+    /// Until the host asks for another mode.
+    async fn live<const RECORDS: usize>(
+        &mut self,
+        shared: &Shared<RECORDS>,
+        socket: &UdpSocket<'_>,
+        host: &mut Option<Host>,
+    ) {
+        while shared.link.borrow().settings().power == PowerMode::Live {
+            self.round(shared, socket, host).await;
+        }
+    }
+
+    /// Until the host asks for another mode. The radio is down when this begins and when it ends.
+    async fn bursts<const RECORDS: usize>(
+        &mut self,
+        shared: &Shared<RECORDS>,
+        socket: &UdpSocket<'_>,
+        host: &mut Option<Host>,
+    ) {
+        let mut doublings = 0;
+        let mut sent_until = 0;
+        while shared.link.borrow().settings().power == PowerMode::Burst {
+            shared.vigil.uplink_came_round(Instant::now());
+            let (due, next) = {
+                let link = shared.link.borrow();
+                let batch = u64::from(link.settings().batch_length.max(1)) << doublings;
+                (link.outbox().next_sequence() >= sent_until + batch, link.outbox().next_sequence())
+            };
+            if !due {
+                // The timer only shows the vigil that this still runs.
+                let _ = with_timeout(ROUND, shared.recorded.wait()).await;
+                continue;
+            }
+            sent_until = next;
+            self.switch_on(shared).await;
+            doublings = match self.burst(shared, socket, host).await {
+                Burst::Done => 0,
+                Burst::Alone => (doublings + 1).min(MAX_DOUBLINGS),
+            };
+            self.switch_off(shared).await;
+        }
+    }
+
+    /// The radio is up: sends until the host has everything, or is silent.
+    async fn burst<const RECORDS: usize>(
+        &mut self,
+        shared: &Shared<RECORDS>,
+        socket: &UdpSocket<'_>,
+        host: &mut Option<Host>,
+    ) -> Burst {
+        let joining = Instant::now();
+        while !self.stack.is_config_up() {
+            shared.vigil.uplink_came_round(Instant::now());
+            if joining.elapsed() > JOINING {
+                alarm!("the network did not come up");
+                return Burst::Alone;
+            }
+            let _ = with_timeout(ROUND, self.stack.wait_config_up()).await;
+        }
+        let mut progress = Instant::now();
+        while progress.elapsed() < SILENCE {
+            let before = shared.link.borrow().heard_us();
+            self.round(shared, socket, host).await;
+            let link = shared.link.borrow();
+            if link.heard_us() != before {
+                progress = Instant::now();
+                if link.outbox().is_empty() {
+                    return Burst::Done;
+                }
+            }
+        }
+        Burst::Alone
+    }
+
+    /// One round: sends what is due, then waits for an answer, a record or the next time that something is due.
+    async fn round<const RECORDS: usize>(
+        &mut self,
+        shared: &Shared<RECORDS>,
+        socket: &UdpSocket<'_>,
+        host: &mut Option<Host>,
+    ) {
+        shared.vigil.uplink_came_round(Instant::now());
+        let Some(endpoint) = self.find(shared, host).await else {
+            return;
+        };
+        let mut datagram = [0; MAX_DATAGRAM];
+        loop {
+            let now = Instant::now();
+            let length = {
+                let mut link = shared.link.borrow_mut();
+                link.set_health(shared.battery.get(), self.radio.signal(), shared.counters.get());
+                link.poll(now.as_micros(), &mut datagram)
+            };
+            let Some(length) = length else { break };
+            match with_timeout(ROUND, socket.send_to(&datagram[..length], endpoint)).await {
+                Ok(Ok(())) => shared.duty.borrow_mut().sent(length),
+                Ok(Err(_)) | Err(_) => {
+                    // The link sends its records again; what matters is not to spin meanwhile.
+                    alarm!("a datagram of {=usize} bytes could not be sent", length);
+                    Timer::after(ROUND).await;
+                    return;
+                }
+            }
+        }
+        let now = Instant::now();
+        let due = Instant::from_micros(shared.link.borrow().next_poll_us(now.as_micros()));
+        let due = due.clamp(now + Duration::from_millis(1), now + ROUND);
+        match select3(socket.recv_from(&mut datagram), shared.recorded.wait(), Timer::at(due)).await {
+            Either3::First(Ok((length, _))) => {
+                let now = Instant::now();
+                let heard = shared.link.borrow_mut().receive(now.as_micros(), &mut datagram[..length]);
+                match heard {
+                    Ok(heard) if heard.settings_changed => info!("new settings from the host"),
+                    Ok(_) => {}
+                    Err(_refused) => {
+                        #[cfg(feature = "defmt")]
+                        defmt::warn!("a datagram was refused: {}", _refused);
+                    }
+                }
+            }
+            // A datagram longer than the protocol's is nobody's of ours.
+            Either3::First(Err(_)) | Either3::Second(()) | Either3::Third(()) => {}
+        }
+    }
+
+    /// Where the host is, looked up when that is not known or when it was not heard for long; waits before it fails.
+    async fn find<const RECORDS: usize>(
+        &mut self,
+        shared: &Shared<RECORDS>,
+        host: &mut Option<Host>,
+    ) -> Option<IpEndpoint> {
+        if !self.stack.is_config_up() {
+            let _ = with_timeout(ROUND, self.stack.wait_config_up()).await;
+            return None;
+        }
+        let now = Instant::now();
+        let heard = shared.link.borrow().heard_us().map_or(Instant::from_ticks(0), Instant::from_micros);
+        let fresh = |host: &Host| now.saturating_duration_since(heard.max(host.found)) < LOOK_AGAIN;
+        if let Some(host) = host.as_ref().filter(|host| host.fixed || fresh(host)) {
+            return Some(host.endpoint);
+        }
+        let retry = host.as_ref().map_or(FIRST_RETRY, |host| host.retry);
+        let name = self.configuration.host.as_str();
+        let address = match name.parse::<Ipv4Addr>() {
+            Ok(address) => Some(IpAddress::Ipv4(address)),
+            // The stack asks by multicast for names that end in .local, and the network's name server for others.
+            Err(_) => match with_timeout(ROUND * 5, self.stack.dns_query(name, DnsQueryType::A)).await {
+                Ok(Ok(addresses)) => addresses.first().copied(),
+                Ok(Err(_)) | Err(_) => None,
+            },
+        };
+        let Some(address) = address else {
+            alarm!("the host was not found by its name");
+            self.wait(shared, retry).await;
+            if let Some(host) = host {
+                // The old address is still the best guess.
+                host.retry = (retry * 2).min(LAST_RETRY);
+                host.found = Instant::now();
+            }
+            return host.as_ref().map(|host| host.endpoint);
+        };
+        let endpoint = IpEndpoint::new(address, self.configuration.port);
+        info!("host found");
+        *host = Some(Host { endpoint, found: now, fixed: name.parse::<Ipv4Addr>().is_ok(), retry: FIRST_RETRY });
+        Some(endpoint)
+    }
+
+    /// Waits, and shows the vigil that this is on purpose.
+    async fn wait<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>, duration: Duration) {
+        let until = Instant::now() + duration;
+        while Instant::now() < until {
+            shared.vigil.uplink_came_round(Instant::now());
+            Timer::at(until.min(Instant::now() + ROUND)).await;
+        }
+    }
+}
+
+/// A host that was found.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Host {
+    endpoint: IpEndpoint,
+    /// When it was looked up.
+    found: Instant,
+    /// Whether it was configured as an address, which never changes.
+    fixed: bool,
+    /// The wait after the next look-up that fails.
+    retry: Duration,
+}
