@@ -6,6 +6,7 @@ pub mod calibrate;
 pub mod cli;
 pub mod input;
 pub mod model;
+pub mod logger;
 pub mod robot;
 pub mod run;
 pub mod simulate;

@@ -14,7 +14,7 @@ use std::string::String;
 use std::vec::Vec;
 
 use crate::inbox::{Arrival, Inbox};
-use crate::message::{Acknowledgement, Batch};
+use crate::message::{Acknowledgement, Batch, Segment};
 use crate::outbox::{Outbox, Pace};
 
 type Board = Outbox<2>;
@@ -34,8 +34,12 @@ struct World {
     host: Inbox<2>,
     /// Synced, in order.
     disk: Vec<Written>,
-    /// Written and not synced.
+    /// Being synced.
+    syncing: Vec<Written>,
+    /// Received since the sync began.
     pending: Vec<Written>,
+    /// The window's state as it is on disk.
+    remembered: Option<(u32, u64, Vec<Segment>)>,
     up: Vec<Batch>,
     down: Vec<Acknowledgement>,
     /// Everything ever taken: (store, sequence) to its time.
@@ -70,14 +74,16 @@ impl World {
         });
     }
 
-    fn sync(&mut self) {
-        for written in self.pending.drain(..) {
-            match written {
-                Written::Record { store, sequence, .. } => self.host.mark_durable(store, sequence, sequence + 1),
-                Written::Gap { store, from, until: Some(until) } => self.host.mark_durable(store, from, until),
-                Written::Gap { until: None, .. } => {}
-            }
-            self.disk.push(written);
+    fn begin_sync(&mut self) {
+        self.host.begin_commit();
+        self.syncing = core::mem::take(&mut self.pending);
+    }
+
+    fn finish_sync(&mut self) {
+        self.host.finish_commit();
+        self.disk.append(&mut self.syncing);
+        if let Some((store, below, segments)) = self.host.durable() {
+            self.remembered = Some((store, below, segments.to_vec()));
         }
     }
 
@@ -93,16 +99,14 @@ impl World {
         }
     }
 
+    /// The host is killed; what it remembers is what was synced.
     fn restart_host(&mut self) {
         self.pending.clear();
-        self.host = Inbox::default();
-        for written in &self.disk {
-            match *written {
-                Written::Record { store, sequence, .. } => self.host.restore(store, sequence, sequence + 1),
-                Written::Gap { store, from, until: Some(until) } => self.host.restore(store, from, until),
-                Written::Gap { until: None, .. } => {}
-            }
-        }
+        self.syncing.clear();
+        self.host = match &self.remembered {
+            Some((store, below, segments)) => Inbox::restore(*store, *below, segments).expect("it fitted before"),
+            None => Inbox::default(),
+        };
     }
 
     fn stored(&self, store: u32, sequence: u64) -> bool {
@@ -131,12 +135,14 @@ impl World {
     fn completes(mut self) {
         self.up.clear();
         self.down.clear();
+        self.finish_sync();
         for _ in 0..4 {
             let index = 0;
             let batch = self.board.batch(index, &[], 1000, PACE);
             self.deliver_up(&batch);
             self.deliver_up(&self.board.empty_batch(&[]).clone());
-            self.sync();
+            self.begin_sync();
+            self.finish_sync();
             if let Some(acknowledgement) = self.host.acknowledgement() {
                 self.acknowledge(&acknowledgement);
             }
@@ -196,8 +202,11 @@ impl World {
             });
             step(&|world| drop(world.down.remove(index)));
         }
-        if !self.pending.is_empty() {
-            step(&|world| world.sync());
+        if self.syncing.is_empty() && !self.pending.is_empty() {
+            step(&|world| world.begin_sync());
+        }
+        if !self.syncing.is_empty() {
+            step(&|world| world.finish_sync());
         }
         if self.down.len() < 2 {
             step(&|world| {
@@ -214,6 +223,7 @@ impl World {
             step(&|world| {
                 world.trouble -= 1;
                 world.pending.clear();
+                world.syncing.clear();
                 world.host.roll_back();
             });
             step(&|world| {
@@ -237,8 +247,8 @@ impl World {
         let disk: BTreeSet<&Written> = self.disk.iter().collect();
         let (store, next) = (self.board.store(), self.board.next_sequence());
         format!(
-            "{store} {next} {held:?} {:?} {disk:?} {:?} {:?} {:?} {:?} {} {}",
-            self.host, self.pending, self.up, self.down, self.lost, self.pushes, self.trouble
+            "{store} {next} {held:?} {:?} {disk:?} {:?} {:?} {:?} {:?} {:?} {} {}",
+            self.host, self.syncing, self.pending, self.up, self.down, self.lost, self.pushes, self.trouble
         )
     }
 }
@@ -249,7 +259,9 @@ fn explore(pushes: u8, trouble: u8) -> usize {
         boot: 1,
         host: Inbox::default(),
         disk: Vec::new(),
+        syncing: Vec::new(),
         pending: Vec::new(),
+        remembered: None,
         up: Vec::new(),
         down: Vec::new(),
         taken: BTreeMap::new(),

@@ -5,7 +5,7 @@ use heapless::Vec;
 use crate::MAX_SEGMENTS;
 use crate::message::{Acknowledgement, Batch, Record, Segment};
 use crate::seal::Refused;
-use crate::sequence_set::SequenceSet;
+use crate::sequence_set::{Full, SequenceSet};
 
 /// What a batch brought that was not there before, in the order of the sequences.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +45,7 @@ pub enum GapReason {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Inbox<const SEGMENTS: usize> {
     received: Option<Progress<SEGMENTS>>,
+    committing: Option<Progress<SEGMENTS>>,
     durable: Option<Progress<SEGMENTS>>,
     /// The segments that the next acknowledgement tells about.
     asked: Vec<u64, MAX_SEGMENTS>,
@@ -101,31 +102,39 @@ impl<const SEGMENTS: usize> Inbox<SEGMENTS> {
         Ok(())
     }
 
-    /// Notes that arrivals of a store are on disk: the sequences of `from..until`.
-    ///
-    /// Arrivals must be noted in the order in which [`Inbox::accept`] gave them.
-    pub fn mark_durable(&mut self, store: u32, from: u64, until: u64) {
-        let durable = match &mut self.durable {
-            Some(progress) if progress.store > store => return,
-            Some(progress) if progress.store == store => progress,
-            other => other.insert(Progress { store, set: SequenceSet::default() }),
-        };
-        // What was received fitted; a prefix of it, in the same order, fits too.
-        let _ = durable.set.insert_range(from, until);
+    /// What was received until now is being written: see [`Inbox::finish_commit`].
+    pub fn begin_commit(&mut self) {
+        self.committing.clone_from(&self.received);
+    }
+
+    /// What was received until [`Inbox::begin_commit`] is durable.
+    pub fn finish_commit(&mut self) {
+        self.durable.clone_from(&self.committing);
     }
 
     /// Forgets what was received and is not durable: writing it failed, the board shall send it again.
     pub fn roll_back(&mut self) {
-        self.received = self.durable.clone();
+        self.received.clone_from(&self.durable);
     }
 
-    /// Notes what a log already holds, when it is read back in its order.
-    pub fn restore(&mut self, store: u32, from: u64, until: u64) {
-        self.mark_durable(store, from, until);
-        self.roll_back();
+    /// An inbox to which a log already holds part of a store: everything below a limit and a bitmap above it, as
+    /// [`Inbox::received`] told them.
+    ///
+    /// # Errors
+    ///
+    /// [`Full`] if the bitmap has more segments than this inbox has room for.
+    pub fn restore(store: u32, below: u64, segments: &[Segment]) -> Result<Self, Full> {
+        let set = SequenceSet::restore(below, segments)?;
+        let progress = Some(Progress { store, set });
+        Ok(Self { received: progress.clone(), committing: progress.clone(), durable: progress, asked: Vec::new() })
     }
 
-    /// The durable part: store, limit and bitmap above it; none before anything is durable.
+    /// What was received: store, limit and bitmap above it; none before anything was.
+    pub fn received(&self) -> Option<(u32, u64, &[Segment])> {
+        self.received.as_ref().map(|progress| (progress.store, progress.set.below(), progress.set.segments()))
+    }
+
+    /// The durable part of it, likewise.
     pub fn durable(&self) -> Option<(u32, u64, &[Segment])> {
         self.durable.as_ref().map(|progress| (progress.store, progress.set.below(), progress.set.segments()))
     }

@@ -24,6 +24,16 @@ impl<const SEGMENTS: usize> Default for SequenceSet<SEGMENTS> {
 }
 
 impl<const SEGMENTS: usize> SequenceSet<SEGMENTS> {
+    /// The set of everything below a limit and of a bitmap above it, as another set told them.
+    pub fn restore(below: u64, segments: &[Segment]) -> Result<Self, Full> {
+        let mut set = Self { below, segments: Vec::new() };
+        for segment in segments.iter().filter(|segment| segment.bits != 0) {
+            set.set_bits(segment.from & !63, segment.bits)?;
+        }
+        set.normalise();
+        Ok(set)
+    }
+
     /// Every sequence below this one is in the set, and this one is not.
     pub fn below(&self) -> u64 {
         self.below
