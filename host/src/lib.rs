@@ -5,8 +5,8 @@
 pub mod calibrate;
 pub mod cli;
 pub mod input;
-pub mod model;
 pub mod logger;
+pub mod model;
 pub mod robot;
 pub mod run;
 pub mod simulate;

@@ -1,8 +1,10 @@
 //! The command line: one file a command. Arguments in, calls, words out.
 
+mod board;
 mod calibrate;
 mod campaign;
 mod demo;
+mod log;
 mod method_table;
 mod output;
 mod progress;
@@ -28,7 +30,9 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Simulate(simulate::Arguments),
+    Board(board::Arguments),
     Calibrate(calibrate::Arguments),
+    Log(log::Arguments),
     Validate(validate::Arguments),
     Demo(demo::Arguments),
 }
@@ -61,6 +65,8 @@ pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let outcome: Result<(), Failure> = match &arguments.command {
         Command::Simulate(arguments) => simulate::run(arguments),
+        Command::Board(arguments) => board::run(arguments),
+        Command::Log(arguments) => log::run(arguments),
         Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
         Command::Demo(arguments) => demo::run(arguments),

@@ -307,7 +307,12 @@ impl Engine {
             for sensor in &batch.sensors {
                 let name = self.names.get(&(number, sensor.address)).cloned().unwrap_or_else(|| {
                     let name = format!("board{number}/0x{:02X}", sensor.address);
-                    self.watch.raise(Trouble::Unnamed(number, sensor.address), now_us, || {
+                    let trouble = Trouble::Unnamed(number, sensor.address);
+                    // Without any names there is no robot.toml, which the caller says once.
+                    if self.names.is_empty() {
+                        return name;
+                    }
+                    self.watch.raise(trouble, now_us, || {
                         format!(
                             "board {number} has a sensor at 0x{:02X} that robot.toml does not name; stored as {name}",
                             sensor.address

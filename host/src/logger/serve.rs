@@ -194,6 +194,9 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
         view.say(logger.clock.now_us(), &text);
     }
     view.say(logger.clock.now_us(), &format!("listening on {listen}, storing in {}", options.store.display()));
+    if options.robot.is_none() {
+        view.say(logger.clock.now_us(), "no robot.toml given: sensors are named by board and address");
+    }
     if let Some(name) = &options.run {
         logger.wish(Wish::StartRun(name.clone()), view, stop);
     }

@@ -1,5 +1,6 @@
 //! The warnings that matter, each said once when it begins and once when it is over.
 
+use std::collections::hash_map::Entry;
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
 
@@ -46,8 +47,8 @@ const REMEMBERED: usize = 50;
 impl Watch {
     /// Says a warning, unless it lasts already.
     pub fn raise(&mut self, trouble: Trouble, now_us: u64, text: impl FnOnce() -> String) {
-        if !self.active.contains_key(&trouble) {
-            self.active.insert(trouble, now_us);
+        if let Entry::Vacant(new) = self.active.entry(trouble) {
+            new.insert(now_us);
             self.say(now_us, text());
         }
     }
