@@ -149,7 +149,7 @@ impl Currents {
         let elapsed = now.saturating_duration_since(duty.started).as_micros().max(1);
         let sending_us = u64::from(duty.datagrams_sent) * self.datagram_overhead.as_micros()
             + u64::from(duty.bytes_sent) * u64::from(self.byte_ns) / 1000;
-        let radio_us = duty.radio_up(now).as_micros();
+        let radio_us = duty.radio_up(now).as_micros().min(elapsed);
         let awake_us = duty.awake.as_micros();
         let listening = match mode {
             PowerMode::Live => self.live,

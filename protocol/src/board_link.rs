@@ -321,7 +321,7 @@ where
         Pace { now_us, resend_after_us: self.resend_after_us() }
     }
 
-    /// When the live records are due: at once when a batch is full, else when its oldest has waited a batch's time.
+    /// When the live records are due: at once when a batch is full, else when its last record should have been taken.
     fn live_due_us(&self, live: usize) -> Option<u64> {
         let length = usize::from(self.settings.batch_length).clamp(1, MAX_BATCH);
         let oldest = self.outbox().live_since_us(live)?;
@@ -329,7 +329,8 @@ where
             return Some(0);
         }
         let period = u64::from(self.settings.sampling_period_ms) * 1000;
-        Some(oldest.saturating_add(period * u64::from(self.settings.batch_length)))
+        // The batch's last record is taken so long after its first.
+        Some(oldest.saturating_add(period * u64::from(self.settings.batch_length.saturating_sub(1))))
     }
 
     fn backlog_to_send(&self, pace: Pace) -> Option<usize> {
