@@ -3,11 +3,14 @@
 
 use super::align::align;
 use super::campaign::{Campaign, ObservedVisit};
-use super::covariance::{Uncertainty, uncertainty};
+use super::covariance::{Uncertainty, uncertainty, with_growth};
 use super::identify::{Identification, Manner, geometric_unknowns, identify};
 use super::observe::{ObserveOptions, Observed, observe};
 use super::problem::Problem;
 use super::rank::in_words;
+use super::robust::Loss;
+use super::solve::{Solution, solve};
+use super::strata::weighed_growth;
 use super::thermal::{Choice, ChosenBy, PerCycle, choose, per_cycle};
 use super::unknown::{State, Unknown};
 use crate::input::InputError;
@@ -26,6 +29,8 @@ pub struct Request {
     pub manner: Manner,
     /// Whether thermal coefficients are left out.
     pub geometry_only: bool,
+    /// Whether the instrument's noise alone weighs measurements, even where the strata of noise could be told apart.
+    pub instrument_weights: bool,
 }
 
 /// A calibration with all that is worth reporting.
@@ -45,8 +50,10 @@ pub struct Calibration {
     pub choice: Option<Choice>,
     /// The thesis's way.
     pub per_cycle: Option<PerCycle>,
-    /// The state of the final identification.
+    /// The state found.
     pub state: State,
+    /// Whether all strata of noise weighed the measurements; otherwise the instrument's noise alone did.
+    pub weighed_by_strata: bool,
     /// Remarks in words.
     pub notes: Vec<String>,
 }
@@ -130,7 +137,7 @@ pub fn calibrate(
 
     let geometric = identify(&campaign, unknowns.clone(), nominal.clone(), &request.manner);
     let choice = (!request.geometry_only && !campaign.sensors.is_empty())
-        .then(|| choose(&observed.robot, &campaign, &geometric.unknowns, &geometric.solution.state))
+        .then(|| choose(&observed.robot, &campaign, &geometric.unknowns, &geometric.solution.state, reference_cycle))
         .filter(|choice| {
             if choice.terms.is_empty() && choice.by == ChosenBy::HeldOutCycles {
                 notes.push("no parameter follows any sensor in a way that holds on held-out cycles".into());
@@ -151,8 +158,17 @@ pub fn calibrate(
         let words = joint.solution.stop.words().to_owned();
         return Err(CalibrationError::NotConverged(words));
     }
-    let state = joint.solution.state.clone();
-    let uncertainty = uncertainty(&Problem::new(&campaign, joint.unknowns.clone(), &state), &state);
+    let mut state = joint.solution.state.clone();
+    let mut uncertainty = uncertainty(&Problem::new(&campaign, joint.unknowns.clone(), &state), &state);
+    // Where postures are visited more than once, the strata of noise can be told apart, and weigh growth as they should.
+    let strata = uncertainty.noise.posture > 0.0 && request.manner.loss == Loss::Squares && !request.instrument_weights;
+    let mut weighed = false;
+    if let Some((found, at, sureness)) =
+        strata.then(|| grown_by_strata(&campaign, &joint, &uncertainty, &request.manner)).flatten()
+    {
+        joint.solution = found;
+        (state, uncertainty, weighed) = (at, sureness, true);
+    }
 
     // The model of the reference cycle alone, as far as its poses suffice.
     let cold = campaign.select(|visit| visit.cycle == reference_cycle);
@@ -198,7 +214,42 @@ pub fn calibrate(
         anchors: campaign.anchors.clone(),
         estimates,
     };
-    Ok(Calibration { model, campaign, aligned, joint, uncertainty, choice, per_cycle: cycles, state, notes })
+    Ok(Calibration {
+        model,
+        campaign,
+        aligned,
+        joint,
+        uncertainty,
+        choice,
+        per_cycle: cycles,
+        state,
+        weighed_by_strata: weighed,
+        notes,
+    })
+}
+
+/// Growth found under all strata of noise, then geometry by the errors of position that it leaves: the solution, its state
+/// and how sure both are. None where there is no growth or a search fails.
+fn grown_by_strata(
+    campaign: &Campaign,
+    joint: &Identification,
+    least_squares: &Uncertainty,
+    manner: &Manner,
+) -> Option<(Solution, State, Uncertainty)> {
+    let growth = weighed_growth(campaign, &joint.unknowns, &joint.solution.state, &least_squares.noise)?;
+    let geometric: Vec<Unknown> =
+        joint.unknowns.iter().copied().filter(|unknown| !matches!(unknown, Unknown::Growth(_))).collect();
+    let start = State { growth: growth.coefficients, ..joint.solution.state.clone() };
+    let problem = Problem::new(campaign, geometric, &start);
+    let solution = solve(&problem, start, &manner.stopping);
+    if !solution.stop.converged() {
+        return None;
+    }
+    let state = solution.state.clone();
+    let own = uncertainty(&problem, &state);
+    let both = Problem::new(campaign, joint.unknowns.clone(), &state);
+    let sureness = with_growth(own, &growth.covariance, &both, &state)?;
+    Some((solution, state, sureness))
 }
 
 /// What is known of every parameter of the chain and every unknown target and anchor.

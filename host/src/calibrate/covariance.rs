@@ -61,6 +61,29 @@ impl Uncertainty {
     }
 }
 
+/// The uncertainty of geometry and growth together, where growth was found first and geometry with growth held: geometry's
+/// own, and what an error of growth does to it. `problem` has the geometric unknowns first, then growth.
+pub fn with_growth(
+    geometry: Uncertainty,
+    growth: &DMatrix<f64>,
+    problem: &Problem<'_>,
+    state: &State,
+) -> Option<Uncertainty> {
+    let (own, all) = (geometry.covariance.ncols(), problem.unknowns().len());
+    let mut factor = OrthogonalFactor::new(all);
+    problem.linearise(state, &mut problem.scratch(), &mut factor);
+    let r = factor.matrix();
+    // From R₁₁ k + R₁₂ γ = z: a change of γ moves k by -R₁₁⁻¹ R₁₂.
+    let slope = -r.view((0, 0), (own, own)).solve_upper_triangular(&r.view((0, own), (own, all - own)).into_owned())?;
+    let cross = &slope * growth;
+    let mut covariance = DMatrix::zeros(all, all);
+    covariance.view_mut((0, 0), (own, own)).copy_from(&(&geometry.covariance + &cross * slope.transpose()));
+    covariance.view_mut((0, own), (own, all - own)).copy_from(&cross);
+    covariance.view_mut((own, 0), (all - own, own)).copy_from(&cross.transpose());
+    covariance.view_mut((own, own), (all - own, all - own)).copy_from(growth);
+    Some(Uncertainty { covariance, ..geometry })
+}
+
 /// Sums over the visits of one posture.
 struct PostureSums {
     visits: f64,

@@ -204,6 +204,25 @@ impl OrthogonalFactor {
         self.fold();
     }
 
+    /// Takes in what another factor says of the columns from `first` on, which are the columns here: the others are
+    /// eliminated from it by leaving out their rows.
+    ///
+    /// # Panics
+    /// When the other has not `first` unknowns more.
+    pub fn push_rows_below(&mut self, other: &OrthogonalFactor, first: usize) {
+        assert_eq!(self.columns + first, other.columns, "the columns from the first on");
+        for i in first..other.columns {
+            let row = other.row(i);
+            if row.iter().all(|&entry| entry == 0.0) {
+                continue;
+            }
+            let mut new = self.push(1);
+            for (j, &entry) in row.iter().enumerate() {
+                new.set(0, i - first + j, entry);
+            }
+        }
+    }
+
     /// The factor of a choice of columns, in the order given: as if only these had been pushed.
     pub fn columns(&self, chosen: &[usize]) -> OrthogonalFactor {
         let mut part = OrthogonalFactor::with_capacity(chosen.len(), self.columns);

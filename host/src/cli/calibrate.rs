@@ -67,6 +67,10 @@ pub struct Arguments {
     /// Leave temperatures out
     #[arg(long)]
     geometry_only: bool,
+    /// Weigh measurements by the instrument's noise alone for thermal coefficients, too, although postures were visited
+    /// more than once
+    #[arg(long)]
+    instrument_weights: bool,
     /// List all pairs of parameters that are correlated by more than 0.9
     #[arg(long)]
     correlations: bool,
@@ -130,6 +134,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             keep_weak: arguments.keep_weak,
         },
         geometry_only: arguments.geometry_only,
+        instrument_weights: arguments.instrument_weights,
     };
     let taken = arguments.options.poses.as_ref().map(|selection| selection.mask(&run.visits));
     let withheld = arguments.hold_out.as_ref().map(|selection| selection.mask(&run.visits));
@@ -251,6 +256,9 @@ fn say(arguments: &Arguments, calibration: &Calibration, unseen: Option<&Unseen>
             String::new()
         },
     );
+    if calibration.weighed_by_strata {
+        println!("thermal coefficients are judged by what changes at a posture, not by what stays with it");
+    }
     println!("\nparameter        nominal         value    correction   ± 95 %");
     for estimate in &calibration.model.estimates {
         println!("{}", words::estimate(estimate));
@@ -358,6 +366,7 @@ fn as_json(calibration: &Calibration, unseen: Option<&Unseen>, folded: Option<&H
             "point_over_instrument": noise.point, "point_estimated": noise.point_estimated,
             "visit_joint_rad": noise.visit, "posture_joint_rad": noise.posture,
             "degrees_of_freedom": calibration.uncertainty.freedom,
+            "growth_weighed_by": if calibration.weighed_by_strata { "strata" } else { "instrument" },
         },
         "correlations": calibration.correlations(0.9).into_iter()
             .map(|(first, second, correlation)| json!({"parameters": [first, second], "correlation": correlation}))

@@ -1,13 +1,16 @@
 //! Which parameters follow which sensors, chosen from the data: physical neighbours first, held-out cycles deciding.
 //!
-//! Around the geometric solution everything is linear, and a candidate's column is a parameter's column times a sensor's
+//! Where the reference cycle visited the same postures, changes of the residuals since then are looked at: what is wrong
+//! with a posture itself, which no temperature causes, then drops out. Around the geometric solution everything is linear, and a candidate's column is a parameter's column times a sensor's
 //! rise, which is one number a visit: with a visit's products `G` of parameters and its rises `w`, the products of all
 //! candidates are `G ⊗ w wᵀ`. They are summed once, group of cycles by group of cycles; a forward search then adds the pair
 //! that lowers the error of held-out cycles most, until none lowers it by more than its own uncertainty.
 
+use std::collections::HashMap;
+
 use nalgebra::{DMatrix, DVector};
 
-use crate::calibrate::campaign::Campaign;
+use crate::calibrate::campaign::{Campaign, ObservedVisit};
 use crate::calibrate::problem::Problem;
 use crate::calibrate::unknown::{GrowthTerm, State, Unknown};
 use crate::robot::{ParameterId, Robot};
@@ -28,8 +31,8 @@ pub struct Choice {
     pub terms: Vec<GrowthTerm>,
     /// Why.
     pub by: ChosenBy,
-    /// Mean square of the whitened residuals of held-out cycles before the first and after each term; empty where
-    /// robot.toml decided.
+    /// Mean square of the whitened residuals of held-out cycles before the first and after each step (terms added, then
+    /// needless ones dropped); empty where robot.toml decided.
     pub held_out: Vec<f64>,
 }
 
@@ -46,7 +49,7 @@ const LEAST_RISE: f64 = 0.1;
 ///
 /// Where robot.toml has `[[thermal]]` tables, they decide. Otherwise parameter N may follow sensors on links N-1 and N,
 /// and others only where they gain twice as surely.
-pub fn choose(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State) -> Choice {
+pub fn choose(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State, reference_cycle: u32) -> Choice {
     if !robot.thermal.is_empty() {
         let terms = robot.thermal.iter().flat_map(|choice| {
             let parameter = campaign.chain.place(choice.parameter);
@@ -57,8 +60,33 @@ pub fn choose(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &
         });
         return Choice { terms: terms.collect(), by: ChosenBy::Description, held_out: Vec::new() };
     }
-    Search::new(robot, campaign, unknowns, state).run()
+    Search::new(robot, campaign, unknowns, state, reference_cycle).run()
 }
+
+/// What a candidate must gain on held-out cycles to be chosen.
+struct Asked {
+    /// Whether its sensor must be a neighbour.
+    near: bool,
+    /// Standard errors of the gain.
+    sureness: f64,
+    /// Share of the error.
+    share: f64,
+}
+
+impl Asked {
+    /// Whether errors on held-out cycles fall by what is asked for.
+    fn is_met(&self, before: &[f64], after: &[f64]) -> bool {
+        let gains: Vec<f64> = before.iter().zip(after).map(|(before, after)| before - after).collect();
+        let count = gains.len() as f64;
+        let gain = mean(&gains);
+        let spread = gains.iter().map(|one| (one - gain).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        gain > self.sureness * (spread / count).sqrt() && gain > self.share * mean(before)
+    }
+}
+
+const NEAR: Asked = Asked { near: true, sureness: 1.0, share: 0.005 };
+/// A sensor that is no neighbour is physically implausible: it must gain twice as surely, and what can be seen.
+const FAR: Asked = Asked { near: false, sureness: 2.0, share: 0.05 };
 
 struct Search {
     /// Pairs that may be chosen.
@@ -73,6 +101,57 @@ struct Search {
     total: DMatrix<f64>,
 }
 
+/// Residuals of the reference cycle, posture by posture and target by target.
+struct Cold {
+    residuals: HashMap<(u32, usize), [f64; 3]>,
+}
+
+impl Cold {
+    /// None where fewer than half of the measured positions have a counterpart in the reference cycle.
+    fn new(problem: &Problem<'_>, state: &State, reference_cycle: u32) -> Option<Self> {
+        let mut sums: HashMap<(u32, usize), ([f64; 3], f64)> = HashMap::new();
+        problem.each_visit_rows(state, |visit, part| {
+            if visit.cycle == reference_cycle {
+                for (place, position) in visit.positions.iter().enumerate() {
+                    let (sum, count) = sums.entry((visit.pose, position.target)).or_default();
+                    *count += 1.0;
+                    for (axis, sum) in sum.iter_mut().enumerate() {
+                        *sum += part.residual[3 * place + axis];
+                    }
+                }
+            }
+        });
+        let residuals: HashMap<(u32, usize), [f64; 3]> =
+            sums.into_iter().map(|(key, (sum, count))| (key, sum.map(|value| value / count))).collect();
+        let all = problem.campaign().visits.iter().flat_map(|visit| {
+            visit.positions.iter().map(|position| residuals.contains_key(&(visit.pose, position.target)))
+        });
+        let (found, count) = all.fold((0, 0), |(found, count), one| (found + usize::from(one), count + 1));
+        (2 * found >= count).then_some(Self { residuals })
+    }
+
+    /// Turns a visit's rows into changes since the reference cycle; rows without a counterpart become zero. Returns the
+    /// number of those that have one.
+    fn subtract(&self, visit: &ObservedVisit, rows: &mut DMatrix<f64>) -> usize {
+        let last = rows.ncols() - 1;
+        let mut changed = 0;
+        for place in 0..rows.nrows().div_ceil(3) {
+            let before =
+                visit.positions.get(place).and_then(|position| self.residuals.get(&(visit.pose, position.target)));
+            for axis in 0..3.min(rows.nrows() - 3 * place) {
+                match before {
+                    Some(before) => {
+                        rows[(3 * place + axis, last)] -= before[axis];
+                        changed += 1;
+                    }
+                    None => rows.row_mut(3 * place + axis).fill(0.0),
+                }
+            }
+        }
+        changed
+    }
+}
+
 /// A pair that may be chosen.
 struct Candidate {
     term: GrowthTerm,
@@ -83,7 +162,7 @@ struct Candidate {
 }
 
 impl Search {
-    fn new(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State) -> Self {
+    fn new(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State, reference_cycle: u32) -> Self {
         let rising: Vec<usize> = (0..campaign.sensors.len())
             .filter(|&sensor| {
                 let rises = campaign.visits.iter().map(|visit| visit.rises[sensor]);
@@ -120,16 +199,20 @@ impl Search {
         let plain = Campaign { growth: Vec::new(), ..campaign.clone() };
         let start = State { growth: Vec::new(), ..state.clone() };
         let problem = Problem::new(&plain, unknowns.to_vec(), &start);
+        let cold = Cold::new(&problem, &start, reference_cycle);
         let mut weights = vec![1.0; block];
         problem.each_visit_rows(&start, |visit, part| {
             let group = group_of(visit.cycle);
-            rows[group] += part.residual.len() as f64;
             let mut visit_rows = part.jacobian.insert_column(unknowns.len(), 0.0);
             visit_rows.set_column(unknowns.len(), &part.residual);
-            let products = visit_rows.tr_mul(&visit_rows);
             for (weight, &sensor) in weights[1..].iter_mut().zip(&rising) {
                 *weight = visit.rises[sensor];
             }
+            rows[group] += match &cold {
+                None => part.residual.len() as f64,
+                Some(cold) => cold.subtract(visit, &mut visit_rows) as f64,
+            };
+            let products = visit_rows.tr_mul(&visit_rows);
             let sums = groups[group].as_mut_slice();
             // The upper half of the blocks is enough; it is mirrored below.
             for j in 0..plain_columns {
@@ -148,7 +231,11 @@ impl Search {
             group.fill_lower_triangle_with_upper_triangle();
         }
         let total = groups.iter().fold(DMatrix::zeros(width, width), |sum, group| sum + group);
-        let geometric = (0..unknowns.len()).map(|place| place * block).collect();
+        // Changes since the reference cycle have no part that geometry could explain.
+        let geometric = match &cold {
+            Some(_) => Vec::new(),
+            None => (0..unknowns.len()).map(|place| place * block).collect(),
+        };
         Self { candidates, geometric, right: unknowns.len() * block, groups, rows, total }
     }
 
@@ -159,9 +246,15 @@ impl Search {
         };
         let mut history = vec![mean(&errors)];
         loop {
-            let step = self.best(&chosen, &errors, true, 1.0).or_else(|| self.best(&chosen, &errors, false, 2.0));
+            let step = self.best(&chosen, &errors, &NEAR).or_else(|| self.best(&chosen, &errors, &FAR));
             let Some((candidate, next)) = step else { break };
             chosen.push(candidate);
+            history.push(mean(&next));
+            errors = next;
+        }
+        // What was chosen early may be needless by what came later.
+        while let Some((place, next)) = self.needless(&chosen, &errors) {
+            chosen.remove(place);
             history.push(mean(&next));
             errors = next;
         }
@@ -183,7 +276,7 @@ impl Search {
 
     /// Mean squared residual of each group when it is predicted from the others; none where the others do not suffice.
     fn held_out(&self, chosen: &[usize]) -> Option<Vec<f64>> {
-        if self.groups.len() < 2 {
+        if self.groups.len() < 2 || self.rows.contains(&0.0) {
             return None;
         }
         let columns = self.columns(chosen);
@@ -212,9 +305,9 @@ impl Search {
             .collect()
     }
 
-    /// The candidate that lowers the held-out error most, if it does by more than `sureness` standard errors.
-    fn best(&self, chosen: &[usize], errors: &[f64], near: bool, sureness: f64) -> Option<(usize, Vec<f64>)> {
-        let mut ranked: Vec<(usize, f64)> = self.promises(chosen, near);
+    /// The candidate that lowers the held-out error most, if it gains as much as is asked for.
+    fn best(&self, chosen: &[usize], errors: &[f64], asked: &Asked) -> Option<(usize, Vec<f64>)> {
+        let mut ranked: Vec<(usize, f64)> = self.promises(chosen, asked.near);
         ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
         ranked.truncate(TRIED);
         ranked
@@ -224,12 +317,19 @@ impl Search {
                 more.push(candidate);
                 Some((candidate, self.held_out(&more)?))
             })
-            .filter(|(_, next)| {
-                let gains: Vec<f64> = errors.iter().zip(next).map(|(before, after)| before - after).collect();
-                let count = gains.len() as f64;
-                let gain = mean(&gains);
-                let spread = gains.iter().map(|g| (g - gain).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-                gain > sureness * (spread / count).sqrt() && gain > 1e-3 * mean(errors)
+            .filter(|(_, next)| asked.is_met(errors, next))
+            .min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)))
+    }
+
+    /// The chosen candidate that is missed least, if less surely than it would have to gain to be chosen.
+    fn needless(&self, chosen: &[usize], errors: &[f64]) -> Option<(usize, Vec<f64>)> {
+        (0..chosen.len())
+            .filter_map(|place| {
+                let mut fewer = chosen.to_vec();
+                let dropped = fewer.remove(place);
+                let without = self.held_out(&fewer)?;
+                let asked = if self.candidates[dropped].near { &NEAR } else { &FAR };
+                (!asked.is_met(&without, errors)).then_some((place, without))
             })
             .min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)))
     }
