@@ -53,7 +53,7 @@ pub enum Refused {
 /// # Panics
 ///
 /// If `length` exceeds [`MAX_MESSAGE`], which no message of this crate does.
-pub(crate) fn seal(key: &Key, header: &Header, buffer: &mut [u8; MAX_DATAGRAM], length: usize) -> usize {
+pub fn seal(key: &Key, header: &Header, buffer: &mut [u8; MAX_DATAGRAM], length: usize) -> usize {
     assert!(length <= MAX_MESSAGE, "a message of {length} bytes does not fit a datagram");
     let (head, rest) = buffer.split_at_mut(HEADER_LENGTH);
     head.copy_from_slice(&header.to_bytes());

@@ -200,6 +200,8 @@ struct Board<const RECORDS: usize> {
     due_us: u64,
     /// What it holds, by sequence: the place of the record in the truth, and the time it was taken.
     held: BTreeMap<u64, (usize, u64)>,
+    /// It has a wrong key: what it takes is no part of the truth.
+    forger: bool,
 }
 
 impl<const RECORDS: usize> Board<RECORDS> {
@@ -294,7 +296,8 @@ pub fn simulate<const RECORDS: usize>(
     let period_us = u64::from(simulation.settings.sampling_period_ms) * 1000;
     let mut boards: Vec<Board<RECORDS>> = Vec::with_capacity(count);
     for (index, mut place) in simulation.places.into_iter().enumerate() {
-        if index + faults.bad_keys >= count {
+        let forger = index + faults.bad_keys >= count;
+        if forger {
             place.key = Key::from_bytes(std::array::from_fn(|_| random.next() as u8));
         }
         let boot = place.first_boot.max((start_us / 1_000_000) as u32);
@@ -311,11 +314,14 @@ pub fn simulate<const RECORDS: usize>(
             reboot_us: next_reboot(&mut random, faults, started_us),
             due_us: started_us,
             held: BTreeMap::new(),
+            forger,
         };
         board.link = Some(Box::new(new_link(&board, simulation.settings, Outbox::new(boot))));
         boards.push(board);
     }
-    let by_number: HashMap<u32, usize> = boards.iter().enumerate().map(|(index, b)| (b.place.board, index)).collect();
+    // Answers go to the boards, not to those who claim their numbers.
+    let by_number: HashMap<u32, usize> =
+        boards.iter().enumerate().filter(|(_, b)| !b.forger).map(|(index, b)| (b.place.board, index)).collect();
     let mut due: BinaryHeap<Reverse<(u64, usize)>> =
         boards.iter().enumerate().map(|(index, board)| Reverse((board.started_us, index))).collect();
     let mut outcome = Outcome::default();
@@ -326,8 +332,7 @@ pub fn simulate<const RECORDS: usize>(
     loop {
         let now_us = clock.now_us();
         let stopped = stop.load(Ordering::Relaxed);
-        let drained = now_us >= until_us
-            && boards[..count - faults.bad_keys.min(count)].iter().all(|board| board.held.is_empty());
+        let drained = now_us >= until_us && boards.iter().all(|board| board.held.is_empty());
         if stopped || drained || now_us >= give_up_us {
             break;
         }
@@ -482,8 +487,8 @@ fn sample<const RECORDS: usize>(
         let sequence = link.record(at_us, &readings);
         board.next_sample_us += u64::from(link.settings().sampling_period_ms.max(1)) * 1000;
         let place = outcome.truth.len();
-        outcome.taken += 1;
-        if keep_truth {
+        outcome.taken += u64::from(!board.forger);
+        if keep_truth && !board.forger {
             let counts = readings
                 .iter()
                 .map(|reading| match reading {
@@ -502,7 +507,9 @@ fn sample<const RECORDS: usize>(
                 fate: Fate::Held,
             });
         }
-        board.held.insert(sequence, (place, host_us));
+        if !board.forger {
+            board.held.insert(sequence, (place, host_us));
+        }
         if link.outbox().dropped() != dropped {
             let left: BTreeSet<u64> = link.outbox().sequences().collect();
             board.held.retain(|sequence, (place, _)| {
