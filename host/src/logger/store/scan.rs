@@ -1,6 +1,6 @@
 //! Reading a log file from its beginning, whole or cut off at any byte: only whole, undamaged groups count.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -10,6 +10,9 @@ use super::mcap::{self, Fields, MAGIC, Message, opcode};
 use super::summary::{AttachmentEntry, ChunkEntry, Summary};
 use super::topic::Topic;
 use crate::input::InputError;
+
+/// By channel: the time of each message, and its offset within the group's records.
+type Indexes = BTreeMap<u16, Vec<(u64, u64)>>;
 
 /// What a scan found.
 #[derive(Debug, Clone)]
@@ -70,7 +73,7 @@ pub fn scan_attachments(
     let mut scan = Scan { valid: 8, length, finished: false, damage: None, summary: Summary::default() };
     let mut topics: BTreeMap<u16, Option<Topic>> = BTreeMap::new();
     // The group that is being read: a chunk whose indexes are not all there yet.
-    let mut open: Option<(ChunkEntry, BTreeSet<u16>, Vec<u8>)> = None;
+    let mut open: Option<(ChunkEntry, Indexes, Vec<u8>)> = None;
     let mut position = 8;
     let mut content = Vec::new();
     scan.damage = loop {
@@ -115,21 +118,27 @@ pub fn scan_attachments(
                     indexes_length: 0,
                     size: records.len() as u64,
                 };
-                let Some(channels) = channels_of(records) else {
+                let Some(indexes) = indexes_of(records) else {
                     break Some(format!("damaged group at byte {start}"));
                 };
-                open = Some((entry, channels, records.to_vec()));
+                open = Some((entry, indexes, records.to_vec()));
             }
             opcode::MESSAGE_INDEX => {
-                let (Some((entry, _, _)), Some(channel)) = (&mut open, Fields(&content).u16()) else {
+                let (Some((entry, indexes, _)), Some(channel)) = (&mut open, Fields(&content).u16()) else {
                     break Some(format!("an index without a group at byte {start}"));
                 };
+                // No CRC guards an index, but it follows from its group.
+                let mut expected = Vec::new();
+                mcap::message_index(&mut expected, channel, indexes.get(&channel).map_or(&[], Vec::as_slice));
+                if expected[9..] != content[..] {
+                    break Some(format!("damaged index at byte {start}"));
+                }
                 entry.indexes.insert(channel, start);
                 entry.indexes_length += position - start;
             }
             _ => break Some(format!("a record out of place at byte {start}")),
         }
-        if let Some((entry, _, records)) = open.take_if(|(entry, channels, _)| entry.indexes.len() == channels.len()) {
+        if let Some((entry, _, records)) = open.take_if(|(entry, indexes, _)| entry.indexes.len() == indexes.len()) {
             scan.valid = position;
             scan.summary.chunks.push(entry);
             take_group(&records, &mut scan.summary, &mut topics, &mut each);
@@ -153,17 +162,19 @@ fn attachment(content: &[u8], place: (u64, u64)) -> Option<(AttachmentEntry, &[u
     right.then_some((AttachmentEntry { place, time_ns, size, name, media_type }, data))
 }
 
-/// The channels that have messages in a group; none if its records cannot be read.
-fn channels_of(records: &[u8]) -> Option<BTreeSet<u16>> {
-    let mut channels = BTreeSet::new();
+/// The index that each channel with messages in a group must have; none if the group's records cannot be read.
+fn indexes_of(records: &[u8]) -> Option<Indexes> {
+    let mut indexes = Indexes::new();
     let mut fields = Fields(records);
     while !fields.0.is_empty() {
+        let offset = (records.len() - fields.0.len()) as u64;
         let (code, content) = fields.record()?;
         if code == opcode::MESSAGE {
-            channels.insert(Message::parse(content)?.channel);
+            let message = Message::parse(content)?;
+            indexes.entry(message.channel).or_default().push((message.time_ns, offset));
         }
     }
-    Some(channels)
+    Some(indexes)
 }
 
 fn take_group(
