@@ -9,11 +9,11 @@
 //! the bounds allow; half of what they allow is its uncertainty. The set allowed is a convex polygon, found by clipping.
 //! A drift beyond [`MAX_DRIFT`] is excluded, and a bound loosens with its age by [`WANDER`] (drifts follow temperature).
 //!
-//! How far off can it be? With delays that are uniform in 0 to J each way and n exchanges at equal intervals over a time
-//! T, the offset at the end errs by more than e only if no recent datagram of one direction was faster than about e:
-//! each bound of age a errs by its delay plus a · 2 · drift range. For J = 50 ms, one exchange a second and 40 ppm the
-//! chance of an error above 10 ms after a minute is below 1e-6: the sixty delays of one direction would all have to
-//! exceed 2 · 10 ms less what the drift allows.
+//! How far off can it be? With delays uniform in 0 to 50 ms each way, 40 ppm and an exchange a second for a minute, the
+//! middle errs by more than 10 ms only if the bound of one direction errs by more than 20. Even without what the other
+//! bounds say of the drift, a bound of age a errs by at most its delay plus 540 ppm of a; that all of them exceed 20 ms
+//! has a chance of the product over the seconds i to 37 of (1 - (20 - 0.54 i) / 50), below 2e-4 a direction. The polygon
+//! does far better: of the tests' 4,000 runs none comes to 10 ms.
 
 use std::collections::VecDeque;
 
