@@ -136,8 +136,7 @@ fn answer_to(
     let batch = host.open(datagram).expect("the board's datagram is authentic").report.batch;
     let inbox = host.inbox_mut();
     inbox.accept(&batch, |_| ()).expect("the inbox has room");
-    for record in &batch.records {
-        inbox.mark_durable(batch.store, record.sequence, record.sequence + 1);
-    }
+    inbox.begin_commit();
+    inbox.finish_commit();
     host.answer(Instant::now().as_micros(), settings, answer).expect("the board was heard")
 }

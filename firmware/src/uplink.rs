@@ -37,6 +37,10 @@ pub(crate) struct Uplink<'a, R> {
     stack: Stack<'a>,
     radio: R,
     configuration: &'a Configuration,
+    /// The wait after the next look-up that fails.
+    retry: Duration,
+    /// No look-up before this.
+    next_look_up: Instant,
 }
 
 /// How a burst ended.
@@ -51,7 +55,7 @@ enum Burst {
 impl<'a, R: Radio> Uplink<'a, R> {
     /// An uplink over a network to the host that the configuration names.
     pub(crate) fn new(stack: Stack<'a>, radio: R, configuration: &'a Configuration) -> Self {
-        Self { stack, radio, configuration }
+        Self { stack, radio, configuration, retry: FIRST_RETRY, next_look_up: Instant::from_ticks(0) }
     }
 
     /// Runs for ever.
@@ -221,7 +225,8 @@ impl<'a, R: Radio> Uplink<'a, R> {
         }
     }
 
-    /// Where the host is, looked up when that is not known or when it was not heard for long; waits before it fails.
+    /// Where the host is, looked up when that is not known or when it was not heard for long. Without an answer it takes
+    /// a moment, so that its caller does not spin.
     async fn find<const RECORDS: usize>(
         &mut self,
         shared: &Shared<RECORDS>,
@@ -234,42 +239,35 @@ impl<'a, R: Radio> Uplink<'a, R> {
         let now = Instant::now();
         let heard = shared.link.borrow().heard_us().map_or(Instant::from_ticks(0), Instant::from_micros);
         let fresh = |host: &Host| now.saturating_duration_since(heard.max(host.found)) < LOOK_AGAIN;
-        if let Some(host) = host.as_ref().filter(|host| host.fixed || fresh(host)) {
+        // While it cannot be looked up, the old address is still the best guess.
+        if let Some(host) = host.as_ref().filter(|host| host.fixed || fresh(host) || now < self.next_look_up) {
             return Some(host.endpoint);
         }
-        let retry = host.as_ref().map_or(FIRST_RETRY, |host| host.retry);
+        if now < self.next_look_up {
+            Timer::at(self.next_look_up.min(now + ROUND)).await;
+            return None;
+        }
         let name = self.configuration.host.as_str();
-        let address = match name.parse::<Ipv4Addr>() {
-            Ok(address) => Some(IpAddress::Ipv4(address)),
+        let fixed = name.parse::<Ipv4Addr>().ok();
+        let address = match fixed {
+            Some(address) => Some(IpAddress::Ipv4(address)),
             // The stack asks by multicast for names that end in .local, and the network's name server for others.
-            Err(_) => match with_timeout(ROUND * 5, self.stack.dns_query(name, DnsQueryType::A)).await {
+            None => match with_timeout(ROUND * 5, self.stack.dns_query(name, DnsQueryType::A)).await {
                 Ok(Ok(addresses)) => addresses.first().copied(),
                 Ok(Err(_)) | Err(_) => None,
             },
         };
         let Some(address) = address else {
             alarm!("the host was not found by its name");
-            self.wait(shared, retry).await;
-            if let Some(host) = host {
-                // The old address is still the best guess.
-                host.retry = (retry * 2).min(LAST_RETRY);
-                host.found = Instant::now();
-            }
+            self.next_look_up = Instant::now() + self.retry;
+            self.retry = (self.retry * 2).min(LAST_RETRY);
             return host.as_ref().map(|host| host.endpoint);
         };
-        let endpoint = IpEndpoint::new(address, self.configuration.port);
         info!("host found");
-        *host = Some(Host { endpoint, found: now, fixed: name.parse::<Ipv4Addr>().is_ok(), retry: FIRST_RETRY });
+        self.retry = FIRST_RETRY;
+        let endpoint = IpEndpoint::new(address, self.configuration.port);
+        *host = Some(Host { endpoint, found: now, fixed: fixed.is_some() });
         Some(endpoint)
-    }
-
-    /// Waits, and shows the vigil that this is on purpose.
-    async fn wait<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>, duration: Duration) {
-        let until = Instant::now() + duration;
-        while Instant::now() < until {
-            shared.vigil.uplink_came_round(Instant::now());
-            Timer::at(until.min(Instant::now() + ROUND)).await;
-        }
     }
 }
 
@@ -281,6 +279,4 @@ pub(crate) struct Host {
     found: Instant,
     /// Whether it was configured as an address, which never changes.
     fixed: bool,
-    /// The wait after the next look-up that fails.
-    retry: Duration,
 }
