@@ -12,6 +12,8 @@ use thermokin_protocol::Key;
 
 /// The emulated sensors need 300 ms for a conversion.
 const PERIOD_MS: u32 = 500;
+/// A pause between two readings that no busy machine explains: the emulator keeps its grid, but may be scheduled late.
+const HOLE_S: f64 = 2.0;
 
 /// Counts without repetitions, in order: what a sensor was seen to go through.
 fn steps(readings: &[(f64, i32)]) -> Vec<i32> {
@@ -58,8 +60,9 @@ fn what_is_set_is_stored_to_the_count() {
             seen.remove(0);
         }
         assert_eq!(seen, expected, "{name}");
-        assert!(longest_pause(&readings[name]) < 1.5 * f64::from(PERIOD_MS) / 1e3, "{name} has a hole");
+        assert!(longest_pause(&readings[name]) < HOLE_S, "{name} has a hole");
     }
+    assert_eq!(workshop.records_lost(), 0);
     let (well, words) = workshop.doctor();
     assert!(well, "{words}");
 }
@@ -87,7 +90,7 @@ fn a_sensor_that_vanishes_costs_nobody_else_and_is_taken_up_again() {
     let readings = workshop.readings(None);
     assert!(longest_pause(&readings["L0S1"]) > 3.0);
     for name in ["L0S0", "L0S2", "L0S3"] {
-        assert!(longest_pause(&readings[name]) < 1.5 * f64::from(PERIOD_MS) / 1e3, "{name} has a hole");
+        assert!(longest_pause(&readings[name]) < HOLE_S, "{name} has a hole");
     }
 }
 
@@ -103,13 +106,14 @@ fn a_host_that_was_away_gets_everything() {
     sleep(Duration::from_secs(15));
     let logger = workshop.logger(None);
     board.set_counts(0, 6912);
-    // 15 s away are 30 records; they come back with the newest.
+    // 15 s away are about 30 records; they come back with the newest.
     workshop.wait_until("the newest", |readings| readings["L0S0"].last().is_some_and(|&(_, counts)| counts == 6912));
     workshop.wait_until("all of the outage", |readings| {
-        readings["L0S0"].iter().filter(|&&(_, counts)| counts == 6400).count() >= 28
-            && longest_pause(&readings["L0S0"]) < 1.5 * f64::from(PERIOD_MS) / 1e3
+        readings["L0S0"].iter().filter(|&&(_, counts)| counts == 6400).count() >= 24
+            && longest_pause(&readings["L0S0"]) < HOLE_S
     });
     logger.stop();
+    assert_eq!(workshop.records_lost(), 0);
     let (well, words) = workshop.doctor();
     assert!(well, "{words}");
 }
@@ -194,7 +198,8 @@ fn bursts_bring_everything_with_the_radio_down_in_between() {
     workshop.wait_until("four bursts", |readings| readings.get("L0S0").is_some_and(|all| all.len() >= 32));
     logger.stop();
     let readings = workshop.readings(None);
-    assert!(longest_pause(&readings["L0S0"]) < 1.5 * f64::from(PERIOD_MS) / 1e3, "a hole between bursts");
+    assert!(longest_pause(&readings["L0S0"]) < HOLE_S, "a hole between bursts");
+    assert_eq!(workshop.records_lost(), 0);
     let (well, words) = workshop.doctor();
     assert!(well, "{words}");
 }

@@ -1,5 +1,8 @@
 //! `thermokin board`: link boards, real and virtual, and the registry of them.
 
+mod config;
+mod flash;
+
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -34,6 +37,14 @@ enum Command {
     /// The boards of the registry, without their keys
     #[command(after_help = "Example:\n  thermokin board list")]
     List(ListArguments),
+    /// Write the page that a board reads its key, sensors, host and network from
+    #[command(after_help = "Example:\n  thermokin board config --board 0 --host logger.local --ssid cell \
+        --password-file wifi.txt --out board0.page")]
+    Config(config::Arguments),
+    /// Write firmware and configuration onto an ESP32-C3, by espflash
+    #[command(after_help = "Example:\n  thermokin board flash --port /dev/ttyACM0 --board 0 --host logger.local \
+        --ssid cell --password-file wifi.txt")]
+    Flash(flash::Arguments),
     /// Simulate boards on this machine that speak the same protocol
     #[command(after_help = "Examples:\n  thermokin board virtual --robot robot.toml --duration 60\n  \
         thermokin board virtual --count 5 --loss 0.3 --reorder 0.1 --duplicate 0.1 --reboot 60 --truth truth.csv")]
@@ -168,6 +179,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         Command::Add(arguments) => add(arguments),
         Command::List(arguments) => list(arguments),
+        Command::Config(arguments) => config::run(arguments),
+        Command::Flash(arguments) => flash::run(arguments),
         Command::Virtual(arguments) => simulate_boards(arguments),
     }
 }

@@ -1,4 +1,5 @@
 //! The link board in the emulator and the real `thermokin log`, each a process that a test starts and stops.
+#![allow(dead_code, reason = "each test binary uses its part")]
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -147,6 +148,15 @@ impl Workshop {
         let output = thermokin().args(["log", "doctor"]).arg(self.store()).output().unwrap();
         let words = [output.stdout, output.stderr].concat();
         (output.status.success(), String::from_utf8(words).unwrap())
+    }
+
+    /// How many records the loggers that were stopped have told to be lost.
+    pub fn records_lost(&self) -> u64 {
+        let words = fs::read_to_string(self.folder.join("logger.txt")).unwrap();
+        let tallies = words.lines().filter_map(|line| line.split_once(" records told as lost"));
+        let lost: Vec<u64> = tallies.map(|(before, _)| before.rsplit(' ').next().unwrap().parse().unwrap()).collect();
+        assert!(!lost.is_empty(), "no logger has ended with a tally: {words}");
+        lost.iter().sum()
     }
 
     /// A file of the test's own.
