@@ -3,6 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 
+#[allow(dead_code, reason = "each target uses one of the two")]
 #[path = "../../tests/ends/mod.rs"]
 mod ends;
 
