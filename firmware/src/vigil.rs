@@ -40,7 +40,7 @@ impl Vigil {
         self.came_round.set(now);
     }
 
-    /// What stands still at a sampling period: sampling may take three of them, both have [`PATIENCE`].
+    /// What stands still at a sampling period: sampling may take three of them, both have ten seconds at least.
     pub fn starving(&self, now: Instant, period: Duration) -> Option<Starving> {
         let sampling = PATIENCE.max(period * 3);
         if now.saturating_duration_since(self.sampled.get()) > sampling {
