@@ -296,6 +296,14 @@ impl Calibration {
         [at(&self.model.nominal, &[]), at(&self.model.geometric, &[]), at(&self.model.reference, &self.state.growth)]
     }
 
+    /// Errors of position of the thesis's way: the reference cycle's geometry with coefficients found cycle by cycle. None
+    /// where there are no such coefficients.
+    pub fn cycle_by_cycle_errors(&self) -> Option<Errors> {
+        let coefficients = self.per_cycle.as_ref()?.coefficients.clone()?;
+        let state = State { geometry: self.model.geometric.clone(), growth: coefficients };
+        Some(position_errors(&self.campaign, &state).errors())
+    }
+
     /// What these data cannot identify, in words.
     pub fn unidentifiable(&self) -> Vec<String> {
         let names = self.campaign.names();

@@ -6,8 +6,6 @@
 //! `S` the twists of the parameters: with `A = Q R`, the six rows `R S` and `Qᵀe` hold all that a visit says about the
 //! arm, however many targets it has; the rest of `e` is noise within the visit.
 
-use std::collections::HashMap;
-
 use nalgebra::{DMatrix, Vector3};
 
 use super::campaign::{Campaign, ObservedVisit};
@@ -18,7 +16,9 @@ use crate::robot::{Frame, Prepared, Twist};
 /// Targets that are seen together: the orthogonal factor of what a twist of the flange does to them.
 #[derive(Debug, Clone)]
 struct Pattern {
-    /// Places of the targets, in the order of the visit's positions.
+    /// The targets, in the order of the visit's positions.
+    names: Vec<usize>,
+    /// Their places in the flange frame.
     targets: Vec<[f64; 3]>,
     /// Columns of `Q` by targets: 3 × targets by 6.
     q: Vec<[f64; 6]>,
@@ -29,7 +29,8 @@ struct Pattern {
 impl Pattern {
     /// # Panics
     /// With fewer than two targets, where a visit has no more than six rows.
-    fn new(targets: Vec<[f64; 3]>) -> Self {
+    fn new(names: Vec<usize>, state: &State) -> Self {
+        let targets: Vec<[f64; 3]> = names.iter().map(|&target| state.geometry.targets[target].into()).collect();
         let rows = 3 * targets.len();
         let a = DMatrix::from_fn(rows, 6, |row, column| {
             let mut twist = Twist::default();
@@ -42,6 +43,7 @@ impl Pattern {
         let qr = a.qr();
         let (q, r) = (qr.q(), qr.r());
         Self {
+            names,
             targets,
             q: (0..rows).map(|row| std::array::from_fn(|column| q[(row, column)])).collect(),
             r: std::array::from_fn(|column| {
@@ -71,15 +73,6 @@ impl Pattern {
     }
 }
 
-/// How a visit's rows are written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Layout {
-    /// Six rows by the pattern of this place.
-    Compressed(usize),
-    /// Every scalar a row.
-    Full,
-}
-
 /// Which columns an unknown parameter fills, by growth with temperature too.
 #[derive(Debug, Clone, Default)]
 struct Columns {
@@ -101,10 +94,16 @@ pub struct Problem<'a> {
     columns: Columns,
     /// Parameter and column of every free parameter: the inner loop's list.
     free_parameters: Vec<(usize, usize)>,
-    layouts: Vec<Layout>,
+    /// One for each set of targets that visits see together, where their places are known; a visit without one has a row
+    /// for every scalar.
     patterns: Vec<Pattern>,
     /// Factor on each scalar's row by robust weighting, visit after visit; none: all one.
     weights: Option<Vec<f64>>,
+}
+
+/// Whether six rows hold all that a visit says about the arm.
+fn compressible(visit: &ObservedVisit) -> bool {
+    visit.positions.len() >= 3 && visit.turns.is_empty() && visit.distances.is_empty()
 }
 
 /// Scratch space for one visit's derivatives.
@@ -151,53 +150,32 @@ impl<'a> Problem<'a> {
                 }
             }
         }
-        let mut problem = Self {
-            campaign,
-            unknowns,
-            columns,
-            free_parameters,
-            layouts: Vec::new(),
-            patterns: Vec::new(),
-            weights: None,
-        };
-        problem.lay_out(state);
+        let mut problem = Self { campaign, unknowns, columns, free_parameters, patterns: Vec::new(), weights: None };
+        problem.find_patterns(state);
         problem
     }
 
-    fn lay_out(&mut self, state: &State) {
-        let mut known: HashMap<Vec<usize>, usize> = HashMap::new();
-        let places_known = self.columns.target.iter().all(|axes| axes.iter().all(Option::is_none));
-        self.layouts.clear();
-        self.layouts.reserve(self.campaign.visits.len());
-        let mut key = Vec::new();
-        let mut last: Option<(Vec<usize>, usize)> = None;
-        for visit in &self.campaign.visits {
-            let compressible = places_known
-                && self.weights.is_none()
-                && visit.positions.len() >= 3
-                && visit.turns.is_empty()
-                && visit.distances.is_empty();
-            if !compressible {
-                self.layouts.push(Layout::Full);
-                continue;
-            }
-            key.clear();
-            key.extend(visit.positions.iter().map(|position| position.target));
-            let place = match &last {
-                Some((targets, place)) if *targets == key => *place,
-                _ => {
-                    let patterns = &mut self.patterns;
-                    let place = *known.entry(key.clone()).or_insert_with(|| {
-                        let targets = key.iter().map(|&target| state.geometry.targets[target].into()).collect();
-                        patterns.push(Pattern::new(targets));
-                        patterns.len() - 1
-                    });
-                    last = Some((key.clone(), place));
-                    place
-                }
-            };
-            self.layouts.push(Layout::Compressed(place));
+    /// Finds the sets of targets that visits see together.
+    fn find_patterns(&mut self, state: &State) {
+        self.patterns.clear();
+        if self.weights.is_some() || self.columns.target.iter().flatten().any(Option::is_some) {
+            return;
         }
+        for visit in &self.campaign.visits {
+            if compressible(visit) && self.pattern(visit).is_none() {
+                let names = visit.positions.iter().map(|position| position.target).collect();
+                self.patterns.push(Pattern::new(names, state));
+            }
+        }
+    }
+
+    /// The pattern of a visit's targets. There are few: as a rule all targets, and those sets that a broken beam leaves.
+    fn pattern(&self, visit: &ObservedVisit) -> Option<&Pattern> {
+        let seen = || visit.positions.iter().map(|position| position.target);
+        self.patterns
+            .iter()
+            .find(|pattern| pattern.names.iter().copied().eq(seen()))
+            .filter(|_| visit.turns.is_empty() && visit.distances.is_empty())
     }
 
     /// The unknowns, one a column.
@@ -217,7 +195,7 @@ impl<'a> Problem<'a> {
     pub fn set_weights(&mut self, weights: Vec<f64>, state: &State) {
         assert_eq!(weights.len(), self.campaign.rows(), "one weight a scalar");
         self.weights = Some(weights);
-        self.lay_out(state);
+        self.find_patterns(state);
     }
 
     /// Scratch space for this problem.
@@ -240,14 +218,14 @@ impl<'a> Problem<'a> {
         Some(self.campaign.chain.prepare(&values))
     }
 
-    /// Calls `act` with every visit's number, the visit, its chain and the place of its first row among all.
-    fn each_visit(&self, state: &State, mut act: impl FnMut(usize, &'a ObservedVisit, &Prepared, usize)) {
+    /// Calls `act` with every visit, its chain and the place of its first row among all.
+    fn each_visit(&self, state: &State, mut act: impl FnMut(&'a ObservedVisit, &Prepared, usize)) {
         let base = self.campaign.chain.prepare(&state.geometry.parameters);
         let mut first_row = 0;
-        for (number, visit) in self.campaign.visits.iter().enumerate() {
+        for visit in &self.campaign.visits {
             match self.prepared_at(visit, state) {
-                Some(prepared) => act(number, visit, &prepared, first_row),
-                None => act(number, visit, &base, first_row),
+                Some(prepared) => act(visit, &prepared, first_row),
+                None => act(visit, &base, first_row),
             }
             first_row += visit.rows();
         }
@@ -287,7 +265,7 @@ impl<'a> Problem<'a> {
     /// Half the sum of squared whitened residuals: the loss of thesis section 4.4.1.
     pub fn loss(&self, state: &State) -> f64 {
         let mut sum = 0.0;
-        self.each_visit(state, |_, visit, prepared, first_row| {
+        self.each_visit(state, |visit, prepared, first_row| {
             let flange = prepared.flange(&visit.posture);
             self.residuals(visit, &flange, state, first_row, |value| sum += value * value);
         });
@@ -298,7 +276,7 @@ impl<'a> Problem<'a> {
     pub fn whitened(&self, state: &State) -> Vec<f64> {
         let plain = Problem { weights: None, ..self.clone() };
         let mut all = Vec::with_capacity(self.campaign.rows());
-        plain.each_visit(state, |_, visit, prepared, first_row| {
+        plain.each_visit(state, |visit, prepared, first_row| {
             let flange = prepared.flange(&visit.posture);
             plain.residuals(visit, &flange, state, first_row, |value| all.push(value));
         });
@@ -307,7 +285,7 @@ impl<'a> Problem<'a> {
 
     /// Distances between measured and predicted target positions, metres: visit, then each of its positions.
     pub fn distances(&self, state: &State, mut each: impl FnMut(&ObservedVisit, usize, Vector3<f64>)) {
-        self.each_visit(state, |_, visit, prepared, _| {
+        self.each_visit(state, |visit, prepared, _| {
             let flange = prepared.flange(&visit.posture);
             for position in &visit.positions {
                 let predicted = flange.point(&state.geometry.targets[position.target]);
@@ -320,8 +298,8 @@ impl<'a> Problem<'a> {
     pub fn linearise(&self, state: &State, scratch: &mut Scratch, factor: &mut OrthogonalFactor) -> f64 {
         factor.clear();
         let mut sum = 0.0;
-        self.each_visit(state, |number, visit, prepared, first_row| {
-            sum += self.push_visit(number, visit, prepared, state, first_row, scratch, factor);
+        self.each_visit(state, |visit, prepared, first_row| {
+            sum += self.push_visit(visit, prepared, state, first_row, scratch, factor);
         });
         factor.fold();
         0.5 * sum
@@ -341,7 +319,7 @@ impl<'a> Problem<'a> {
         gradient.clear();
         gradient.resize(self.unknowns.len(), 0.0);
         let mut sum = 0.0;
-        self.each_visit(state, |_, visit, prepared, _| {
+        self.each_visit(state, |visit, prepared, _| {
             let flange = prepared.twists(&visit.posture, &mut scratch.parameters, &mut scratch.joints);
             let weight = 1.0 / (visit.sigma * visit.sigma);
             let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
@@ -375,10 +353,8 @@ impl<'a> Problem<'a> {
     }
 
     /// Pushes the rows of one visit. Returns its sum of squares, what lies within the visit included.
-    #[expect(clippy::too_many_arguments, reason = "the parts of one inner loop")]
     fn push_visit(
         &self,
-        number: usize,
         visit: &ObservedVisit,
         prepared: &Prepared,
         state: &State,
@@ -387,9 +363,9 @@ impl<'a> Problem<'a> {
         factor: &mut OrthogonalFactor,
     ) -> f64 {
         let flange = prepared.twists(&visit.posture, &mut scratch.parameters, &mut scratch.joints);
-        match self.layouts[number] {
-            Layout::Compressed(pattern) => self.push_compressed(visit, &flange, pattern, scratch, factor),
-            Layout::Full => self.push_full(visit, &flange, state, first_row, scratch, factor),
+        match self.pattern(visit) {
+            Some(pattern) => self.push_compressed(visit, &flange, pattern, scratch, factor),
+            None => self.push_full(visit, &flange, state, first_row, scratch, factor),
         }
     }
 
@@ -397,11 +373,10 @@ impl<'a> Problem<'a> {
         &self,
         visit: &ObservedVisit,
         flange: &Frame,
-        pattern: usize,
+        pattern: &Pattern,
         scratch: &Scratch,
         factor: &mut OrthogonalFactor,
     ) -> f64 {
-        let pattern = &self.patterns[pattern];
         let scale = 1.0 / visit.sigma;
         let mut rows = factor.push(6);
         for &(place, column) in &self.free_parameters {
@@ -522,7 +497,7 @@ impl<'a> Problem<'a> {
         let unknowns = self.unknowns.len();
         let most = self.campaign.visits.iter().map(ObservedVisit::rows).max().unwrap_or(0);
         let mut factor = OrthogonalFactor::with_capacity(unknowns, most);
-        self.each_visit(state, |_, visit, prepared, first_row| {
+        self.each_visit(state, |visit, prepared, first_row| {
             let flange = prepared.twists(&visit.posture, &mut scratch.parameters, &mut scratch.joints);
             factor.clear();
             self.push_full(visit, &flange, state, first_row, &scratch, &mut factor);
@@ -549,7 +524,7 @@ impl<'a> Problem<'a> {
         let mut scratch = self.scratch();
         let unknowns = self.unknowns.len();
         let mut hessian = DMatrix::zeros(unknowns, unknowns);
-        self.each_visit(state, |_, visit, prepared, _| {
+        self.each_visit(state, |visit, prepared, _| {
             let flange = prepared.twists(&visit.posture, &mut scratch.parameters, &mut scratch.joints);
             for position in &visit.positions {
                 let target = &state.geometry.targets[position.target];

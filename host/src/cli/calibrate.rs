@@ -220,6 +220,13 @@ fn say(arguments: &Arguments, calibration: &Calibration, unseen: Option<&Unseen>
     println!("{}", words::errors("nominal", &nominal));
     println!("{}", words::errors("geometric", &geometric));
     println!("{}", words::errors("thermal", &thermal));
+    if let Some(beside) = calibration.cycle_by_cycle_errors() {
+        println!(
+            "{}   (thermal, cycle by cycle: {:+.3} mm on average)",
+            words::errors("the thesis's", &beside),
+            beside.mean_mm - thermal.mean_mm
+        );
+    }
     if let Some(unseen) = unseen {
         println!("{}   ({})", words::errors("held out", &unseen.errors), unseen.words);
     }
@@ -344,6 +351,7 @@ fn as_json(calibration: &Calibration, unseen: Option<&Unseen>, folded: Option<&H
         "robot": calibration.model.robot.name,
         "poses": poses, "points": points, "cycles": cycles, "aligned": calibration.aligned,
         "nominal": nominal, "geometric": geometric, "thermal": thermal,
+        "thermal_cycle_by_cycle": calibration.cycle_by_cycle_errors(),
         "parameters": parameters,
         "thermal_coefficients": coefficients,
         "thermal_choice": calibration.choice.as_ref().map(|choice| match choice.by {
