@@ -91,6 +91,8 @@ struct PostureSums {
     reach: DMatrix<f64>,
     /// Σ Kᵢᵀ Kᵢ.
     gram: DMatrix<f64>,
+    /// Σ ‖Kᵢᵀ Kᵢ‖².
+    own: f64,
     /// Σ Kᵢᵀ rᵢ.
     response: DVector<f64>,
     /// Σ Kᵢᵀ Kᵢ Kᵢᵀ Qᵢ, joints by unknowns.
@@ -107,18 +109,17 @@ pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
         .solve_upper_triangular(&DMatrix::identity(unknowns, unknowns))
         .unwrap_or_else(|| DMatrix::from_element(unknowns, unknowns, f64::INFINITY));
 
-    let mut rows = 0.0;
-    let mut visits = 0.0;
+    let (mut rows, mut visits) = (0.0, 0.0);
     // Of the part of each visit that no motion of joints explains: its dimension, its sum of squares, Q' A Q.
     let (mut alone_rows, mut alone_squares) = (0.0, 0.0);
     let mut alone = DMatrix::zeros(unknowns, unknowns);
     // Of the visits: Q' V_v Q, tr V_v V_v, tr V_v Q Q' V_v, r' V_v r.
     let mut visit_reach = DMatrix::zeros(unknowns, unknowns);
     let (mut visit_trace, mut visit_leverage, mut visit_squares) = (0.0, 0.0, 0.0);
+    let mut visit_fourth = 0.0;
     let mut visit_gram_trace = 0.0;
     let mut visit_gram_leverage = 0.0;
     let mut postures: HashMap<u32, PostureSums> = HashMap::new();
-    let mut effective = 0.0;
 
     problem.each_visit_rows(state, |visit, part| {
         let m = part.residual.len();
@@ -134,7 +135,6 @@ pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
         let largest = svd.singular_values.max();
         if let Some(u) = &svd.u {
             let rank = svd.singular_values.iter().filter(|&&value| value > 1e-9 * largest).count();
-            effective += rank as f64;
             if m > rank && rank > 0 {
                 let order: Vec<usize> =
                     (0..svd.singular_values.len()).filter(|&i| svd.singular_values[i] > 1e-9 * largest).collect();
@@ -148,6 +148,7 @@ pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
         }
         visit_reach += &reach * reach.transpose();
         visit_trace += gram.norm_squared();
+        visit_fourth += (&gram * &gram).norm_squared();
         visit_gram_trace += gram.trace();
         visit_leverage += (reach.transpose() * &reach * &gram).trace();
         visit_gram_leverage += reach.norm_squared();
@@ -158,10 +159,12 @@ pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
             visits: 0.0,
             reach: DMatrix::zeros(unknowns, joints),
             gram: DMatrix::zeros(joints, joints),
+            own: 0.0,
             response: DVector::zeros(joints),
             cross: DMatrix::zeros(joints, unknowns),
         });
         sums.visits += 1.0;
+        sums.own += gram.norm_squared();
         sums.reach += &reach;
         sums.gram += &gram;
         sums.response += response;
@@ -175,6 +178,7 @@ pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
     let (mut mean_by_posture, mut mean_by_visit, mut visit_by_posture) = (0.0, 0.0, 0.0);
     let (mut lev_mean_posture, mut lev_mean_visit, mut lev_visit_posture) = (0.0, 0.0, 0.0);
     let (mut mean_trace, mut mean_gram_leverage) = (0.0, 0.0);
+    let mut mean_fourth = 0.0;
     // In the order of the postures' numbers: sums must not depend on a hash.
     let mut numbers: Vec<u32> = postures.keys().copied().collect();
     numbers.sort_unstable();
@@ -185,24 +189,16 @@ pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
         mean_reach += &square / n;
         posture_reach += &square;
         mean_squares += sums.response.norm_squared() / n;
+        mean_by_visit += sums.own / n;
+        visit_by_posture += sums.own;
         mean_by_posture += sums.gram.norm_squared() / n;
+        mean_fourth += (&sums.gram * &sums.gram).norm_squared() / (n * n);
         lev_mean_posture += (sums.reach.transpose() * &sums.reach * &sums.gram).trace() / n;
         lev_mean_visit += (&sums.cross * &sums.reach).trace() / n;
         lev_visit_posture += (&sums.cross * &sums.reach).trace();
         mean_trace += sums.gram.trace() / n;
         mean_gram_leverage += sums.reach.norm_squared() / n;
     }
-    // tr(D V_v) and tr(V_v V_p) need the visits' own squares, grouped by posture size.
-    let mut own_squares: HashMap<u32, f64> = HashMap::new();
-    problem.each_visit_rows(state, |visit, part| {
-        *own_squares.entry(visit.pose).or_default() += part.joints.tr_mul(&part.joints).norm_squared();
-    });
-    for number in &numbers {
-        let own = own_squares[number];
-        mean_by_visit += own / postures[number].visits;
-        visit_by_posture += own;
-    }
-
     // Expectations tr(A P V P) with P = I - Q Qᵀ: tr(A V) - 2 tr(A Q Qᵀ V) + tr(QᵀAQ QᵀVQ).
     let inner = |a: &DMatrix<f64>, b: &DMatrix<f64>| a.dot(b);
     let point_estimated = alone_rows - alone.trace() > 0.5;
@@ -236,13 +232,46 @@ pub fn uncertainty(problem: &Problem<'_>, state: &State) -> Uncertainty {
     let variances = components(&expectation, &observed, &mut active, point_estimated);
     let noise =
         Noise { point: variances[0].sqrt(), point_estimated, visit: variances[1].sqrt(), posture: variances[2].sqrt() };
-    let middle = DMatrix::identity(unknowns, unknowns) * variances[0]
-        + visit_reach * variances[1]
-        + posture_reach * variances[2];
-    let covariance = &r_inverse * middle * r_inverse.transpose();
-    let units = if variances[2] > 0.0 { effective / visits * numbers.len() as f64 } else { effective };
-    let freedom = if variances[1] + variances[2] > 0.0 { units } else { rows } - unknowns as f64;
+    // Each stratum's part of the covariance, and how many independent numbers its variance was estimated from: as many as
+    // a χ² of the same spread has (Satterthwaite), less what the fit has taken up. Joint 1 moves the targets by metres,
+    // joint 6 by centimetres: a visit is worth fewer than its six joints.
+    let part = |middle: DMatrix<f64>| &r_inverse * middle * r_inverse.transpose();
+    let parts = [
+        part(DMatrix::identity(unknowns, unknowns) * variances[0]),
+        part(visit_reach * variances[1]),
+        part(posture_reach * variances[2]),
+    ];
+    let worth = |trace: f64, fourth: f64, left: f64| if fourth > 0.0 { trace * left / fourth } else { 0.0 };
+    let worths = [
+        if point_estimated { alone_rows - alone.trace() } else { f64::INFINITY },
+        worth(visit_trace, visit_fourth, visit_visit),
+        worth(mean_by_posture, mean_fourth, mean_posture),
+    ];
+    let covariance = parts.iter().fold(DMatrix::zeros(unknowns, unknowns), |sum, part| sum + part);
+    let freedom = combined_freedom(&parts, &worths, &covariance).min(rows - unknowns as f64);
     Uncertainty { noise, covariance: (&covariance + covariance.transpose()) * 0.5, freedom: freedom.max(1.0) }
+}
+
+/// Degrees of freedom of a sum of estimated variances (Welch and Satterthwaite), with the strata's mean shares in the
+/// unknowns' variances.
+fn combined_freedom(parts: &[DMatrix<f64>; 3], worths: &[f64; 3], covariance: &DMatrix<f64>) -> f64 {
+    let variances = covariance.diagonal();
+    let count = variances.iter().filter(|variance| **variance > 0.0).count() as f64;
+    let spread: f64 = parts
+        .iter()
+        .zip(worths)
+        .map(|(part, worth)| {
+            let shares = part
+                .diagonal()
+                .iter()
+                .zip(&variances)
+                .map(|(own, all)| if *all > 0.0 { own / all } else { 0.0 })
+                .sum::<f64>();
+            let share = shares / count;
+            if share > 0.0 { share * share / worth.max(1.0) } else { 0.0 }
+        })
+        .sum();
+    1.0 / spread
 }
 
 /// Solves for the variances, dropping one that comes out negative and solving again.
