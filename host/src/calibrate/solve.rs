@@ -137,6 +137,10 @@ impl Damping {
     }
 }
 
+/// A step that promises no more than this, half a millionth of a standard deviation squared, and does not keep it, is
+/// at the minimum: with residuals of many standard deviations, rounding decides whether the loss still falls.
+const NEGLIGIBLE: f64 = 5e-7;
+
 /// A factor is kept as long as each step leaves at most this share of what the step before it promised.
 const FAITHFUL: f64 = 0.01;
 
@@ -223,6 +227,11 @@ pub fn solve_from(
             if damping.is_none() {
                 // A factor from elsewhere may be to blame: the damped steps get their own.
                 loss = problem.linearise(&state, &mut scratch, &mut factor);
+                if decrement(&factor) <= NEGLIGIBLE {
+                    state = state.moved(problem.unknowns(), &factor.solve());
+                    steps += 1;
+                    break Stop::LossSettled;
+                }
             }
             damping = Some(harder);
         }
