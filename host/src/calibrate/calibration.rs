@@ -137,7 +137,7 @@ pub fn calibrate(
 
     let geometric = identify(&campaign, unknowns.clone(), nominal.clone(), &request.manner);
     let choice = (!request.geometry_only && !campaign.sensors.is_empty())
-        .then(|| choose(&observed.robot, &campaign, &geometric.unknowns, &geometric.solution.state, reference_cycle))
+        .then(|| choose(&observed.robot, &campaign, &geometric.unknowns, &geometric.solution.state))
         .filter(|choice| {
             if choice.terms.is_empty() && choice.by == ChosenBy::HeldOutCycles {
                 notes.push("no parameter follows any sensor in a way that holds on held-out cycles".into());

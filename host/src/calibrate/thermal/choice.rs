@@ -1,10 +1,11 @@
 //! Which parameters follow which sensors, chosen from the data: physical neighbours first, held-out cycles deciding.
 //!
-//! Where the reference cycle visited the same postures, changes of the residuals since then are looked at: what is wrong
-//! with a posture itself, which no temperature causes, then drops out. Around the geometric solution everything is linear, and a candidate's column is a parameter's column times a sensor's
-//! rise, which is one number a visit: with a visit's products `G` of parameters and its rises `w`, the products of all
-//! candidates are `G ⊗ w wᵀ`. They are summed once, group of cycles by group of cycles; a forward search then adds the pair
-//! that lowers the error of held-out cycles most, until none lowers it by more than its own uncertainty.
+//! Where postures are visited again and again, changes of the residuals from their posture's mean are looked at: what is
+//! wrong with a posture itself, which no temperature causes, then drops out. Around the geometric solution everything is
+//! linear, and a candidate's column is a parameter's column times a sensor's rise, which is one number a visit: with a
+//! visit's products `G` of parameters and its rises `w`, the products of all candidates are `G ⊗ w wᵀ`. They are summed
+//! once, group of cycles by group of cycles; a forward search then adds the pair that lowers the error of held-out cycles
+//! most, until none lowers it by more than its own uncertainty.
 
 use std::collections::HashMap;
 
@@ -49,7 +50,7 @@ const LEAST_RISE: f64 = 0.1;
 ///
 /// Where robot.toml has `[[thermal]]` tables, they decide. Otherwise parameter N may follow sensors on links N-1 and N,
 /// and others only where they gain twice as surely.
-pub fn choose(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State, reference_cycle: u32) -> Choice {
+pub fn choose(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State) -> Choice {
     if !robot.thermal.is_empty() {
         let terms = robot.thermal.iter().flat_map(|choice| {
             let parameter = campaign.chain.place(choice.parameter);
@@ -60,7 +61,7 @@ pub fn choose(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &
         });
         return Choice { terms: terms.collect(), by: ChosenBy::Description, held_out: Vec::new() };
     }
-    Search::new(robot, campaign, unknowns, state, reference_cycle).run()
+    Search::new(robot, campaign, unknowns, state).run()
 }
 
 /// What a candidate must gain on held-out cycles to be chosen.
@@ -101,47 +102,63 @@ struct Search {
     total: DMatrix<f64>,
 }
 
-/// Residuals of the reference cycle, posture by posture and target by target.
-struct Cold {
+/// Means over all visits of a posture: of each target's residual, and of each sensor's rise.
+///
+/// Only what changes at a posture tells growth from errors of the posture. The mean of all its visits is subtracted, not
+/// what was seen in the reference cycle: noise of that one cycle would be in every other's change, held out or not, and
+/// look like growth.
+struct Means {
     residuals: HashMap<(u32, usize), [f64; 3]>,
+    rises: HashMap<u32, Vec<f64>>,
 }
 
-impl Cold {
-    /// None where fewer than half of the measured positions have a counterpart in the reference cycle.
-    fn new(problem: &Problem<'_>, state: &State, reference_cycle: u32) -> Option<Self> {
-        let mut sums: HashMap<(u32, usize), ([f64; 3], f64)> = HashMap::new();
+/// A sum and the number of its parts.
+struct Sum<T> {
+    sum: T,
+    count: f64,
+}
+
+impl Means {
+    /// None where fewer than half of the positions were measured at a posture and target that was measured again.
+    fn new(problem: &Problem<'_>, state: &State) -> Option<Self> {
+        let mut residuals: HashMap<(u32, usize), Sum<[f64; 3]>> = HashMap::new();
+        let mut rises: HashMap<u32, Sum<Vec<f64>>> = HashMap::new();
         problem.each_visit_rows(state, |visit, part| {
-            if visit.cycle == reference_cycle {
-                for (place, position) in visit.positions.iter().enumerate() {
-                    let (sum, count) = sums.entry((visit.pose, position.target)).or_default();
-                    *count += 1.0;
-                    for (axis, sum) in sum.iter_mut().enumerate() {
-                        *sum += part.residual[3 * place + axis];
-                    }
+            let own = rises.entry(visit.pose).or_insert_with(|| Sum { sum: vec![0.0; visit.rises.len()], count: 0.0 });
+            own.count += 1.0;
+            own.sum.iter_mut().zip(&visit.rises).for_each(|(sum, rise)| *sum += rise);
+            for (place, position) in visit.positions.iter().enumerate() {
+                let own = residuals.entry((visit.pose, position.target)).or_insert(Sum { sum: [0.0; 3], count: 0.0 });
+                own.count += 1.0;
+                for (axis, sum) in own.sum.iter_mut().enumerate() {
+                    *sum += part.residual[3 * place + axis];
                 }
             }
         });
-        let residuals: HashMap<(u32, usize), [f64; 3]> =
-            sums.into_iter().map(|(key, (sum, count))| (key, sum.map(|value| value / count))).collect();
-        let all = problem.campaign().visits.iter().flat_map(|visit| {
-            visit.positions.iter().map(|position| residuals.contains_key(&(visit.pose, position.target)))
-        });
-        let (found, count) = all.fold((0, 0), |(found, count), one| (found + usize::from(one), count + 1));
-        (2 * found >= count).then_some(Self { residuals })
+        let all: f64 = residuals.values().map(|own| own.count).sum();
+        residuals.retain(|_, own| own.count > 1.0);
+        let again: f64 = residuals.values().map(|own| own.count).sum();
+        (again > 0.0 && 2.0 * again >= all).then(|| Self {
+            residuals: residuals.into_iter().map(|(key, own)| (key, own.sum.map(|sum| sum / own.count))).collect(),
+            rises: rises
+                .into_iter()
+                .map(|(pose, own)| (pose, own.sum.into_iter().map(|sum| sum / own.count).collect()))
+                .collect(),
+        })
     }
 
-    /// Turns a visit's rows into changes since the reference cycle; rows without a counterpart become zero. Returns the
-    /// number of those that have one.
+    /// Turns a visit's residuals into changes from its posture's mean; rows without a counterpart become zero. Returns
+    /// the number of those that have one.
     fn subtract(&self, visit: &ObservedVisit, rows: &mut DMatrix<f64>) -> usize {
         let last = rows.ncols() - 1;
         let mut changed = 0;
         for place in 0..rows.nrows().div_ceil(3) {
-            let before =
+            let mean =
                 visit.positions.get(place).and_then(|position| self.residuals.get(&(visit.pose, position.target)));
             for axis in 0..3.min(rows.nrows() - 3 * place) {
-                match before {
-                    Some(before) => {
-                        rows[(3 * place + axis, last)] -= before[axis];
+                match mean {
+                    Some(mean) => {
+                        rows[(3 * place + axis, last)] -= mean[axis];
                         changed += 1;
                     }
                     None => rows.row_mut(3 * place + axis).fill(0.0),
@@ -162,7 +179,7 @@ struct Candidate {
 }
 
 impl Search {
-    fn new(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State, reference_cycle: u32) -> Self {
+    fn new(robot: &Robot, campaign: &Campaign, unknowns: &[Unknown], state: &State) -> Self {
         let rising: Vec<usize> = (0..campaign.sensors.len())
             .filter(|&sensor| {
                 let rises = campaign.visits.iter().map(|visit| visit.rises[sensor]);
@@ -199,18 +216,19 @@ impl Search {
         let plain = Campaign { growth: Vec::new(), ..campaign.clone() };
         let start = State { growth: Vec::new(), ..state.clone() };
         let problem = Problem::new(&plain, unknowns.to_vec(), &start);
-        let cold = Cold::new(&problem, &start, reference_cycle);
+        let means = Means::new(&problem, &start);
         let mut weights = vec![1.0; block];
         problem.each_visit_rows(&start, |visit, part| {
             let group = group_of(visit.cycle);
             let mut visit_rows = part.jacobian.insert_column(unknowns.len(), 0.0);
             visit_rows.set_column(unknowns.len(), &part.residual);
             for (weight, &sensor) in weights[1..].iter_mut().zip(&rising) {
-                *weight = visit.rises[sensor];
+                let mean = means.as_ref().map_or(0.0, |means| means.rises[&visit.pose][sensor]);
+                *weight = visit.rises[sensor] - mean;
             }
-            rows[group] += match &cold {
+            rows[group] += match &means {
                 None => part.residual.len() as f64,
-                Some(cold) => cold.subtract(visit, &mut visit_rows) as f64,
+                Some(means) => means.subtract(visit, &mut visit_rows) as f64,
             };
             let products = visit_rows.tr_mul(&visit_rows);
             let sums = groups[group].as_mut_slice();
@@ -231,8 +249,8 @@ impl Search {
             group.fill_lower_triangle_with_upper_triangle();
         }
         let total = groups.iter().fold(DMatrix::zeros(width, width), |sum, group| sum + group);
-        // Changes since the reference cycle have no part that geometry could explain.
-        let geometric = match &cold {
+        // Changes from a posture's mean have no part that geometry could explain.
+        let geometric = match &means {
             Some(_) => Vec::new(),
             None => (0..unknowns.len()).map(|place| place * block).collect(),
         };
