@@ -12,7 +12,7 @@ use super::robust::Loss;
 use super::solve::{Solution, solve};
 use super::strata::weighed_growth;
 use super::thermal::{Choice, ChosenBy, PerCycle, choose, per_cycle};
-use super::unknown::{State, Unknown};
+use super::unknown::{GrowthTerm, State, Unknown};
 use crate::input::InputError;
 use crate::model::{ErrorTally, Errors, Geometry, Growth, Model, ParameterEstimate};
 use crate::robot::{ParameterId, Robot};
@@ -193,14 +193,15 @@ pub fn calibrate(
     let estimates = estimates(&campaign, &observed.nominal, &state, &joint, &uncertainty, &unknowns);
     let sigmas = uncertainty.sigmas();
     let growth = (0..campaign.growth.len())
-        .map(|term| {
-            let column = joint.unknowns.iter().position(|&unknown| unknown == Unknown::Growth(term));
-            Growth {
+        .filter_map(|term| {
+            // A coefficient that the data do not tell is named among what is held; it has no value to give.
+            let column = joint.unknowns.iter().position(|&unknown| unknown == Unknown::Growth(term))?;
+            Some(Growth {
                 parameter: campaign.chain.parameters()[campaign.growth[term].parameter],
                 sensor: campaign.sensors[campaign.growth[term].sensor].clone(),
                 coefficient: state.growth[term],
-                sigma: column.map_or(0.0, |column| sigmas[column]),
-            }
+                sigma: sigmas[column],
+            })
         })
         .collect();
     notes.extend(observed.robot.remarks());
@@ -302,6 +303,16 @@ impl Calibration {
         let coefficients = self.per_cycle.as_ref()?.coefficients.clone()?;
         let state = State { geometry: self.model.geometric.clone(), growth: coefficients };
         Some(position_errors(&self.campaign, &state).errors())
+    }
+
+    /// A thermal coefficient as the thesis's way finds it; none where it could not be used.
+    pub fn cycle_by_cycle(&self, growth: &Growth) -> Option<f64> {
+        let coefficients = self.per_cycle.as_ref()?.coefficients.as_ref()?;
+        let names = |term: &GrowthTerm| {
+            (self.campaign.chain.parameters()[term.parameter], self.campaign.sensors[term.sensor].as_str())
+        };
+        let own = (growth.parameter, growth.sensor.as_str());
+        self.campaign.growth.iter().position(|term| names(term) == own).map(|term| coefficients[term])
     }
 
     /// What these data cannot identify, in words.

@@ -277,9 +277,8 @@ fn say(arguments: &Arguments, calibration: &Calibration, unseen: Option<&Unseen>
             _ => "chosen by held-out cycles",
         };
         println!("\nthermal coefficients ({why})     joint fit ± 95 %      cycle by cycle");
-        let beside = calibration.per_cycle.as_ref().and_then(|way| way.coefficients.as_ref());
-        for (term, growth) in calibration.model.growth.iter().enumerate() {
-            println!("{}", words::growth(growth, factor, beside.map(|coefficients| coefficients[term])));
+        for growth in &calibration.model.growth {
+            println!("{}", words::growth(growth, factor, calibration.cycle_by_cycle(growth)));
         }
         if let Some(left_out) = calibration.per_cycle.as_ref().map(|way| &way.left_out).filter(|left| !left.is_empty())
         {
@@ -327,19 +326,17 @@ fn as_json(calibration: &Calibration, unseen: Option<&Unseen>, folded: Option<&H
         })
         .collect();
     let factor = calibration.uncertainty.coverage_factor();
-    let beside = calibration.per_cycle.as_ref().and_then(|way| way.coefficients.as_ref());
     let coefficients: Vec<serde_json::Value> = calibration
         .model
         .growth
         .iter()
-        .enumerate()
-        .map(|(term, growth)| {
+        .map(|growth| {
             json!({
                 "parameter": growth.parameter.to_string(), "sensor": growth.sensor,
                 "unit": format!("{}/K", growth.parameter.symbol.unit()),
                 "value": growth.coefficient, "sigma": growth.sigma,
                 "low": growth.coefficient - factor * growth.sigma, "high": growth.coefficient + factor * growth.sigma,
-                "cycle_by_cycle": beside.map(|coefficients| coefficients[term]),
+                "cycle_by_cycle": calibration.cycle_by_cycle(growth),
             })
         })
         .collect();
