@@ -5,7 +5,7 @@
 //! Without noise a fit ends at the rounding of its residuals: coordinates of 3 m carry `3 m × eps` = 7e-16 m, a few of
 //! which add up along the chain to some 1e-15 m. A parameter errs by that times the largest singular value of the pseudo-
 //! inverse with unit columns, the condition, which each test states: some 1e-13 for conditions near 100. A fit ends where
-//! the loss would change by 1e-9, 4e-5 standard deviations of 10 µm or less: 1e-11 leaves room for that last step, too.
+//! the loss would change by 1e-9, 4e-5 standard deviations of some 10 µm and µrad, and its last step leaves a hundredth of that or less: below 1e-10.
 
 mod calibrate_twin;
 
@@ -72,7 +72,7 @@ fn four_known_targets_give_every_parameter_of_the_comau() {
     // The thesis needs 4 to 6 iterations (table 5.2).
     assert!(found.solution.steps <= 6, "{} steps", found.solution.steps);
     assert!(found.observability(&campaign).condition < 300.0, "condition {}", found.observability(&campaign).condition);
-    assert_found(&twin, &found.solution.state, 1e-11);
+    assert_found(&twin, &found.solution.state, 1e-10);
 }
 
 #[test]
@@ -347,16 +347,10 @@ fn robust_losses_come_back_from_gross_errors() {
     let clean = twin.cold(&twin.postures(40, 1.0, &mut dice), noise, &mut dice);
     let mut dirty = clean.clone();
     // One point of twenty is 5 mm off: 500 standard deviations.
-    let mut gross = 0;
-    for visit in &mut dirty.visits {
-        for position in &mut visit.positions {
-            if dice.between(0.0, 1.0) < 0.05 {
-                position.at += dice.vector(5e-3);
-                gross += 1;
-            }
-        }
+    let positions = dirty.visits.iter_mut().flat_map(|visit| &mut visit.positions);
+    for position in positions.skip(7).step_by(20) {
+        position.at += dice.vector(5e-3);
     }
-    assert!(gross >= 3, "{gross} outliers");
     let unknowns = geometric_unknowns(&clean, &[], &[], &[]);
     let with = |campaign: &Campaign, loss: Loss| {
         let manner = Manner { loss, ..Manner::default() };
