@@ -11,7 +11,9 @@
 mod calibrate_twin;
 
 use calibrate_twin::{Dice, SIGMA, Strata, Twin};
-use thermokin::calibrate::{Campaign, Noise, Problem, Stopping, Unknown, geometric_unknowns, solve, uncertainty};
+use thermokin::calibrate::{
+    Campaign, Noise, Problem, Stopping, Unknown, geometric_unknowns, solve, uncertainty, weighed_growth,
+};
 use thermokin::robot::shipped;
 
 /// What many runs came to.
@@ -137,6 +139,43 @@ fn many_cycles(strata: Strata) {
         let (mean, _) = mean_and_error(&of(|noise| noise.posture * noise.posture));
         assert!(mean.sqrt() < 0.2 * strata.visit, "posture noise {:e} out of nothing", mean.sqrt());
     }
+}
+
+#[test]
+fn growth_weighed_by_all_strata_is_surer_and_as_honest() {
+    let mut dice = Dice::new("weighed growth");
+    let mut twin = Twin::new(shipped("comau-nj-130-2.0").expect("shipped"), &mut dice);
+    for (parameter, sensor, coefficient) in [("d1", "A", -7e-6), ("a2", "B", 9e-6), ("d4", "A", -8e-6)] {
+        twin.grows(parameter, sensor, coefficient);
+    }
+    let rises: Vec<Vec<f64>> =
+        (0..8).map(|cycle| vec![f64::from(cycle), 9.0 * (1.0 - f64::exp(-f64::from(cycle) / 2.0))]).collect();
+    let postures = twin.postures(15, 1.0, &mut dice);
+    let strata = Strata { point: SIGMA, visit: 1e-5, posture: 5e-5 };
+    let (runs, mut covered, mut squares, mut surer) = (100, 0, Vec::new(), 0);
+    for _ in 0..runs {
+        let campaign = twin.visit(&postures, &rises, strata, &mut dice);
+        let mut unknowns = geometric_unknowns(&campaign, &[], &[], &[]);
+        unknowns.extend((0..3).map(Unknown::Growth));
+        let problem = Problem::new(&campaign, unknowns.clone(), &twin.nominal);
+        let found = solve(&problem, twin.truth.clone(), &Stopping::default());
+        let plain = uncertainty(&problem, &found.state);
+        let weighed = weighed_growth(&campaign, &unknowns, &found.state, &plain.noise).expect("growth is unknown");
+        for term in 0..3 {
+            let z = (weighed.coefficients[term] - twin.truth.growth[term]) / weighed.covariance[(term, term)].sqrt();
+            covered += usize::from(z.abs() < 1.96);
+            squares.push(z * z);
+            surer += usize::from(weighed.covariance[(term, term)].sqrt() < plain.sigmas()[30 + term]);
+        }
+    }
+    // 300 normal numbers, three of a run correlated at most: their mean square errs by √(2 / 100), their coverage by
+    // √(0.95 × 0.05 / 100); the variance of the visits' noise is estimated to 5 % on top.
+    let (mean, _) = mean_and_error(&squares);
+    let share = f64::from(covered as u32) / (3.0 * f64::from(runs));
+    println!("mean square {mean:.3}, covered {:.1} %, surer in {surer} of {}", 100.0 * share, 3 * runs);
+    assert!((mean - 1.0).abs() < 4.0 * f64::sqrt(2.0 / f64::from(runs)) + 0.05, "mean square {mean}");
+    assert!(share > 0.95 - 4.0 * f64::sqrt(0.95 * 0.05 / f64::from(runs)), "{share} covered");
+    assert_eq!(surer, 3 * runs as usize, "weights by all strata tell growth better than the instrument's alone");
 }
 
 #[test]

@@ -327,6 +327,28 @@ fn fixed_parameters_come_out_nominal() {
 }
 
 #[test]
+fn whole_poses_and_whole_cycles_are_held_out() {
+    let folder = Folder::new(true);
+    let by = |what: &str, folds: &str, seed: &str| {
+        let arguments = ["calibrate", ".", "--folds", folds, "--fold-by", what, "--fold-seed", seed, "--json", "-"];
+        folder.json(&arguments)
+    };
+    let cycles = by("cycle", "3", "1");
+    assert_eq!((&cycles["folds"]["by"], &cycles["folds"]["folds"]), (&Value::from("cycle"), &Value::from(3)));
+    // Three cycles in three folds can be dealt in one way only, whatever the seed.
+    assert_eq!(cycles["folds"]["mean_mm"], by("cycle", "3", "2")["folds"]["mean_mm"]);
+    let poses = by("pose", "4", "1");
+    let of = |result: &Value, level: &str| result[level]["rms_mm"].as_f64().expect("a number");
+    // Sixteen poses hardly suffice for thirty parameters: poses that were not seen err more than those that were.
+    assert!(of(&poses, "folds") > of(&poses, "thermal"), "{poses}");
+    let held = folder.json(&["calibrate", ".", "--hold-out", "poses:0-3", "--json", "-"]);
+    assert_eq!((&held["held_out"]["points"], &held["points"], &held["poses"]), (&48.into(), &144.into(), &12.into()));
+    assert!(of(&held, "held_out") > of(&held, "thermal"), "{held}");
+    let words = folder.refusal(2, &["calibrate", ".", "--folds", "4", "--fold-by", "cycle"]);
+    assert!(words.contains("3 cycles into 4 folds"), "{words}");
+}
+
+#[test]
 fn equal_temperatures_are_said_and_no_number_is_lost() {
     let folder = Folder::new(false);
     let result = folder.json(&with(&CALIBRATE, &["--json", "-"]));
