@@ -4,6 +4,8 @@
 
 pub mod calibrate;
 pub mod cli;
+pub mod discover;
+pub mod effect;
 pub mod input;
 pub mod logger;
 pub mod model;

@@ -4,6 +4,7 @@ mod board;
 mod calibrate;
 mod campaign;
 mod demo;
+mod discover;
 mod log;
 mod method_table;
 mod output;
@@ -34,6 +35,7 @@ enum Command {
     Calibrate(calibrate::Arguments),
     Log(log::Arguments),
     Validate(validate::Arguments),
+    Discover(discover::Arguments),
     Demo(demo::Arguments),
 }
 
@@ -69,6 +71,7 @@ pub fn main() -> ExitCode {
         Command::Log(arguments) => log::run(arguments),
         Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
+        Command::Discover(arguments) => discover::run(arguments),
         Command::Demo(arguments) => demo::run(arguments),
     };
     match outcome {

@@ -56,6 +56,11 @@ impl Posture {
     pub fn joints(&self) -> &[JointState] {
         &self.0
     }
+
+    /// The joint positions, radians or metres.
+    pub fn positions(&self) -> Vec<f64> {
+        self.0.iter().map(|joint| joint.value).collect()
+    }
 }
 
 /// Where a joint acts.

@@ -1,0 +1,307 @@
+//! Every effect at every place with every shape of its grid, tested against what is left.
+
+use std::collections::HashMap;
+
+use nalgebra::DMatrix;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use super::chance::{ln_chi_square, ln_likelihood_ratio, ln_smallest_of};
+use super::normal::{Factor, Normal, Strata, Whitened};
+use super::stage::{Column, Stage};
+use crate::effect::{Effect, Instance, Scene, Site, catalogue};
+
+/// An effect at a place.
+#[derive(Clone)]
+pub struct Candidate {
+    /// The effect.
+    pub effect: &'static dyn Effect,
+    /// Where.
+    pub site: Site,
+}
+
+impl Candidate {
+    /// What identifies it.
+    pub fn key(&self) -> (&'static str, Site) {
+        (self.effect.name(), self.site.clone())
+    }
+}
+
+/// A candidate with its best shape.
+#[derive(Clone)]
+pub struct Score {
+    /// The effect at its place, with shape and linear estimate.
+    pub instance: Instance,
+    /// Twice the gain of log likelihood.
+    pub ratio: f64,
+    /// Coefficients that the data can tell from nuisance.
+    pub freedom: usize,
+    /// Logarithm of the chance that noise alone would favour this candidate as much, over all its shapes.
+    pub ln_p: f64,
+    /// Of its square, the share that calibration cannot absorb.
+    pub visible: f64,
+}
+
+/// How many independent tests the search amounts to.
+#[derive(Debug, Clone, Default)]
+pub struct Trials {
+    each: HashMap<(&'static str, Site), f64>,
+    /// Independent candidates in all.
+    pub all: f64,
+}
+
+impl Trials {
+    /// Independent tests that a candidate's shapes amount to.
+    pub fn of(&self, candidate: &Candidate) -> f64 {
+        self.each.get(&candidate.key()).copied().unwrap_or(1.0)
+    }
+
+    /// Logarithm of the chance that the best of the whole search looks as good as `ln_p` by noise alone.
+    pub fn over_all(&self, ln_p: f64) -> f64 {
+        ln_smallest_of(ln_p, self.all.max(1.0))
+    }
+}
+
+/// All candidates of a scene.
+pub fn candidates(scene: &Scene) -> Vec<Candidate> {
+    catalogue()
+        .iter()
+        .flat_map(|&effect| effect.sites(scene).into_iter().map(move |site| Candidate { effect, site }))
+        .collect()
+}
+
+/// A shape's columns.
+pub fn columns(stage: &Stage, scene: &Scene, candidate: &Candidate, shape: &[f64]) -> Vec<Column> {
+    candidate.effect.terms(scene, &candidate.site, shape).iter().map(|term| stage.column(scene, term)).collect()
+}
+
+/// Whether amounts hardly differ between the visits of a posture: such a candidate is judged between postures.
+fn is_static(stage: &Stage, columns: &[Column]) -> bool {
+    let (mut within, mut all) = (0.0, 0.0);
+    let mut sums = vec![(0.0, 0.0); stage.postures];
+    for (_, amounts) in columns.iter().flatten() {
+        sums.iter_mut().for_each(|sum| *sum = (0.0, 0.0));
+        let mean = amounts.iter().sum::<f64>() / amounts.len().max(1) as f64;
+        for (amount, block) in amounts.iter().zip(&stage.blocks) {
+            let sum = &mut sums[block.posture];
+            sum.0 += 1.0;
+            sum.1 += amount;
+        }
+        for (amount, block) in amounts.iter().zip(&stage.blocks) {
+            let (count, sum) = sums[block.posture];
+            within += (amount - sum / count).powi(2);
+            all += (amount - mean).powi(2);
+        }
+    }
+    within <= 0.2 * all
+}
+
+/// The models of noise that a test chooses from: the sizes of shared errors, with and without an effect, are the likeliest.
+pub struct Rivals {
+    factors: Vec<Factor>,
+    /// The best log likelihood without any effect.
+    nothing: f64,
+    /// Numbers that tell the postures' shared errors.
+    between: f64,
+}
+
+impl Rivals {
+    /// The rivals about given strata.
+    pub fn new(normal: &Normal<'_>, strata: &Strata) -> Rivals {
+        let some = |sigma: f64| if sigma > 0.0 { vec![0.0, 0.4 * sigma, 0.7 * sigma, sigma] } else { vec![0.0] };
+        let mut pairs: Vec<(f64, f64)> = some(strata.posture).into_iter().map(|p| (p, strata.cycle)).collect();
+        pairs.extend(some(strata.cycle).into_iter().map(|c| (strata.posture, c)));
+        pairs.push((0.0, 0.0));
+        pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        pairs.dedup();
+        let factors: Vec<Factor> = pairs.into_iter().filter_map(|(p, c)| normal.factor(p, c)).collect();
+        let nothing = factors.iter().map(|factor| factor.log_likelihood).fold(f64::NEG_INFINITY, f64::max);
+        let layout = normal.layout;
+        let between = (layout.joints * layout.postures) as f64 - layout.nuisance.min(layout.joints * layout.postures / 2) as f64;
+        Rivals { factors, nothing, between }
+    }
+}
+
+/// A shape with its gain.
+struct Tried {
+    shape: Vec<f64>,
+    coefficients: Vec<f64>,
+    ratio: f64,
+    freedom: usize,
+    ln_p: f64,
+    visible: f64,
+}
+
+fn try_shape(
+    normal: &Normal<'_>,
+    rivals: &Rivals,
+    cross: &super::normal::Cross,
+    columns: &[Column],
+    candidate: &Candidate,
+    shape: &[f64],
+) -> Option<Tried> {
+    let mut best: Option<(f64, &Factor, usize, Vec<f64>, f64)> = None;
+    for factor in &rivals.factors {
+        let projected = factor.project(cross);
+        let (drop, freedom, coefficients) = projected.drop();
+        let gain = factor.log_likelihood + 0.5 * drop - rivals.nothing;
+        if freedom > 0 && best.as_ref().is_none_or(|(other, ..)| gain > *other) {
+            let visible = projected.own.trace() / cross.own.trace();
+            best = Some((gain, factor, freedom, coefficients.iter().copied().collect(), visible));
+        }
+    }
+    let (gain, factor, freedom, coefficients, visible) = best?;
+    if gain <= 0.0 || !candidate.effect.is_plausible(shape, &coefficients) {
+        return None;
+    }
+    let numbers = match factor.posture > 0.0 && is_static(normal.white.stage, columns) {
+        true => rivals.between,
+        false => f64::INFINITY,
+    };
+    let ln_p = ln_likelihood_ratio(2.0 * gain, freedom, numbers);
+    Some(Tried { shape: shape.to_vec(), coefficients, ratio: 2.0 * gain, freedom, ln_p, visible })
+}
+
+/// Scores of all candidates that gain anything, best first. `trials` corrects each for its shapes.
+pub fn score(
+    normal: &Normal<'_>,
+    rivals: &Rivals,
+    scene: &Scene,
+    candidates: &[Candidate],
+    trials: &Trials,
+) -> Vec<Score> {
+    let stage = normal.white.stage;
+    let mut scores = in_two(candidates, |candidate| {
+        let tried = candidate.effect.shapes(scene, &candidate.site).into_iter().filter_map(|shape| {
+            let columns = columns(stage, scene, candidate, &shape);
+            try_shape(normal, rivals, &normal.cross(&columns), &columns, candidate, &shape)
+        });
+        let best = tried.min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))?;
+        Some(score_of(candidate, best, trials))
+    });
+    scores.sort_by(|a, b| a.ln_p.total_cmp(&b.ln_p));
+    scores
+}
+
+fn score_of(candidate: &Candidate, tried: Tried, trials: &Trials) -> Score {
+    let instance = Instance {
+        effect: candidate.effect,
+        site: candidate.site.clone(),
+        shape: tried.shape,
+        coefficients: tried.coefficients,
+    };
+    let ln_p = ln_smallest_of(tried.ln_p, trials.of(candidate));
+    Score { instance, ratio: tried.ratio, freedom: tried.freedom, ln_p, visible: tried.visible }
+}
+
+/// A candidate's best shape near one: a scan around it, twice, ever finer.
+pub fn refine(normal: &Normal<'_>, rivals: &Rivals, scene: &Scene, score: &Score, trials: &Trials) -> Score {
+    const EACH_SIDE: i32 = 4;
+    let candidate = Candidate { effect: score.instance.effect, site: score.instance.site.clone() };
+    let mut best = score.clone();
+    let mut reach = candidate.effect.refine(scene, &best.instance.shape);
+    for _ in 0..2 {
+        for number in 0..reach.len() {
+            if reach[number] <= 0.0 {
+                continue;
+            }
+            let center = best.instance.shape.clone();
+            for step in (-EACH_SIDE..=EACH_SIDE).filter(|step| *step != 0) {
+                let mut shape = center.clone();
+                shape[number] += reach[number] * f64::from(step) / f64::from(EACH_SIDE);
+                if shape[number] * center[number] <= 0.0 && center[number] != 0.0 {
+                    continue;
+                }
+                let columns = columns(normal.white.stage, scene, &candidate, &shape);
+                let tried = try_shape(normal, rivals, &normal.cross(&columns), &columns, &candidate, &shape);
+                if let Some(tried) = tried.filter(|tried| tried.ratio > best.ratio) {
+                    best = score_of(&candidate, tried, trials);
+                }
+            }
+            reach[number] /= f64::from(EACH_SIDE);
+        }
+    }
+    best
+}
+
+/// Runs over the items on two threads, in order.
+fn in_two<T: Sync, R: Send>(items: &[T], of: impl Fn(&T) -> Option<R> + Sync) -> Vec<R> {
+    // Interleaved: neighbours cost alike, and an effect's places lie side by side.
+    let half = |parity: usize| -> Vec<(usize, R)> {
+        items
+            .iter()
+            .enumerate()
+            .filter(|(rank, _)| rank % 2 == parity)
+            .filter_map(|(rank, item)| Some((rank, of(item)?)))
+            .collect()
+    };
+    let mut all = std::thread::scope(|scope| {
+        let other = scope.spawn(|| half(1));
+        let mut own = half(0);
+        match other.join() {
+            Ok(rest) => own.extend(rest),
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+        own
+    });
+    all.sort_by_key(|(rank, _)| *rank);
+    all.into_iter().map(|(_, result)| result).collect()
+}
+
+/// Draws of noise by which the search is calibrated: as many as memory allows for large runs.
+const DRAWS: usize = 200;
+const LARGEST: usize = 30_000_000;
+
+/// White noise, one column a draw.
+fn white_noise(random: &mut ChaCha8Rng, rows: usize, draws: usize) -> DMatrix<f64> {
+    let mut uniform = || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+    DMatrix::from_fn(rows, draws, |_, _| {
+        let radius = libm::sqrt(-2.0 * libm::log(1.0 - uniform()));
+        radius * libm::cos(std::f64::consts::TAU * uniform())
+    })
+}
+
+/// Finds how many independent tests the search amounts to: the same search over draws of noise of the strata's sizes
+/// (nothing hidden), by the mean of the logarithm of the smallest chance that it meets.
+pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candidate], seed: u64) -> Trials {
+    let draws = (LARGEST / (stage.blocks.len() * stage.places.count())).clamp(40, DRAWS);
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let white = Whitened::new(stage, strata);
+    let normal = Normal::new(&white, draws, |_, rows| white_noise(&mut random, rows, draws));
+    let Some(factor) = normal.factor(strata.posture, strata.cycle) else { return Trials::default() };
+    let layout = normal.layout;
+    let mut shared = DMatrix::zeros(layout.count(), draws);
+    let of_postures = layout.joints * layout.postures;
+    let own = white_noise(&mut random, of_postures, draws) * strata.posture;
+    shared.rows_mut(layout.nuisance, of_postures).copy_from(&own);
+    let of_cycles = layout.joints * layout.cycles;
+    let own = white_noise(&mut random, of_cycles, draws) * strata.cycle;
+    shared.rows_mut(layout.nuisance + of_postures, of_cycles).copy_from(&own);
+    let turned = factor.turn_draws(&normal, &shared);
+    let results: Vec<((&'static str, Site), Vec<f64>)> = in_two(candidates, |candidate| {
+        let mut smallest = vec![0.0_f64; draws];
+        for shape in candidate.effect.shapes(scene, &candidate.site) {
+            let columns = columns(stage, scene, candidate, &shape);
+            let cross = normal.cross(&columns);
+            let projected = factor.project(&cross);
+            let directions = projected.directions();
+            let drops = directions.drops(&factor.project_draws(&cross, &turned, &shared));
+            for (smallest, drop) in smallest.iter_mut().zip(drops) {
+                *smallest = smallest.min(ln_chi_square(drop, directions.count()));
+            }
+        }
+        Some((candidate.key(), smallest))
+    });
+    let mean_count = |of: &mut dyn Iterator<Item = f64>| {
+        // -ln(1 - p) of the smallest of m independent chances is exponential with mean 1 / m.
+        let (count, sum) = of.fold((0.0, 0.0), |(count, sum), ln_p| (count + 1.0, sum - (-ln_p.exp().min(0.999_999)).ln_1p()));
+        if sum > 0.0 { (count / sum).max(1.0) } else { 1.0 }
+    };
+    let each: HashMap<_, _> =
+        results.iter().map(|(key, smallest)| (key.clone(), mean_count(&mut smallest.iter().copied()))).collect();
+    let best = (0..draws).map(|draw| {
+        results.iter().map(|(key, smallest)| ln_smallest_of(smallest[draw], each[key])).fold(0.0, f64::min)
+    });
+    let all = mean_count(&mut best.collect::<Vec<_>>().into_iter());
+    Trials { each, all }
+}

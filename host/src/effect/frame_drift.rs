@@ -1,0 +1,43 @@
+//! The instrument and the base move against each other, steadily.
+
+use super::{Acts, Effect, Named, Scene, Site, Term};
+
+/// The effect.
+pub struct FrameDrift;
+
+pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// Six numbers of a motion by their names.
+pub(super) fn motion_names(along: &str, about: &str, coefficients: &[f64]) -> Vec<Named> {
+    let name = |(axis, value): (usize, &f64)| {
+        let unit = if axis < 3 { along } else { about };
+        let (kind, unit) = unit.split_once(' ').unwrap_or((unit, ""));
+        Named::new(format!("{kind}_{}_{unit}", AXES[axis % 3]), *value)
+    };
+    coefficients.iter().enumerate().map(name).collect()
+}
+
+/// Six terms of a motion of the world, each with the same amounts.
+pub(super) fn world(amounts: &[f64]) -> Vec<Term> {
+    (0..6).map(|axis| vec![Acts::World(axis, amounts.to_vec())]).collect()
+}
+
+impl Effect for FrameDrift {
+    fn name(&self) -> &'static str {
+        "frame_drift"
+    }
+
+    fn sites(&self, scene: &Scene) -> Vec<Site> {
+        let (first, last) = scene.span_s();
+        if last > first { vec![Site::whole()] } else { Vec::new() }
+    }
+
+    fn terms(&self, scene: &Scene, _: &Site, _: &[f64]) -> Vec<Term> {
+        let (first, _) = scene.span_s();
+        world(&scene.by_visit(|visit| visit.time_s - first))
+    }
+
+    fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
+        motion_names("shift m_per_s", "turn rad_per_s", coefficients)
+    }
+}

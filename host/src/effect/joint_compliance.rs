@@ -1,0 +1,49 @@
+//! A joint that gives under gravity: `Δq = compliance · torque`, payload included.
+//!
+//! Where robot.toml gives no masses, the torque is linear in the unknown first moments of what the joint carries: the
+//! coefficients are then compliance times moment, as many as the visits tell apart.
+
+use super::{Acts, Effect, Named, Scene, Site, Term};
+
+/// The effect.
+pub struct JointCompliance;
+
+/// Torques that vary by less than this over the visits cannot be told from an offset, N·m.
+const LEAST_VARIATION: f64 = 1e-6;
+
+impl Effect for JointCompliance {
+    fn name(&self) -> &'static str {
+        "joint_compliance"
+    }
+
+    fn sites(&self, scene: &Scene) -> Vec<Site> {
+        let varies = |joint: &usize| {
+            let torque = |visit: &super::Situation| visit.torques[*joint];
+            let (low, high) = scene.visits.iter().map(torque).fold((f64::MAX, f64::MIN), |(low, high), torque| {
+                (low.min(torque), high.max(torque))
+            });
+            high - low > LEAST_VARIATION || !scene.moments[*joint].is_empty()
+        };
+        (0..scene.chain.joint_count()).filter(varies).map(Site::joint).collect()
+    }
+
+    fn terms(&self, scene: &Scene, site: &Site, _: &[f64]) -> Vec<Term> {
+        let Some(joint) = site.joint else { return Vec::new() };
+        match scene.masses_known {
+            true => vec![vec![Acts::Joint(joint, scene.by_visit(|visit| visit.torques[joint]))]],
+            false => {
+                scene.moments[joint].iter().map(|amounts| vec![Acts::Joint(joint, amounts.clone())]).collect()
+            }
+        }
+    }
+
+    fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
+        match coefficients {
+            [one] => vec![Named::new("compliance_rad_per_nm", *one)],
+            many => (1..)
+                .zip(many)
+                .map(|(number, value)| Named::new(format!("compliance_times_moment_{number}_rad"), *value))
+                .collect(),
+        }
+    }
+}

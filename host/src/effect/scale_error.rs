@@ -1,0 +1,24 @@
+//! An instrument whose metre is not a metre: coordinates scaled about it.
+
+use super::{Acts, Effect, Named, Scene, Site, Term};
+
+/// The effect.
+pub struct ScaleError;
+
+impl Effect for ScaleError {
+    fn name(&self) -> &'static str {
+        "scale_error"
+    }
+
+    fn sites(&self, _: &Scene) -> Vec<Site> {
+        vec![Site::whole()]
+    }
+
+    fn terms(&self, scene: &Scene, _: &Site, _: &[f64]) -> Vec<Term> {
+        vec![vec![Acts::Scale(scene.by_visit(|_| 1.0))]]
+    }
+
+    fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
+        vec![Named::new("scale", coefficients[0])]
+    }
+}
