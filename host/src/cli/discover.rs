@@ -1,24 +1,47 @@
-//! `thermokin discover RUN --out MODEL`.
+//! `thermokin discover`: what the simulation gets wrong, its cause, and the extended model.
 
 use std::path::PathBuf;
 
 use clap::Args;
+use serde_json::{Value, json};
 
 use super::Failure;
 use super::campaign::RunOptions;
-use crate::calibrate::{Request, calibrate};
-use crate::discover::fit::positional;
-use crate::discover::search::search;
-use crate::discover::stage::Point;
-use crate::effect::{Scene, Seen};
+use super::output::JsonOption;
+use super::words;
+use crate::calibrate::Request;
+use crate::discover::{Discovery, DiscoveryError, DiscoveryRequest, Finding, Level, discover};
+use crate::effect::SiteNames;
 
-/// Arguments.
+/// Find what a calibrated model gets wrong, name the physical cause, and measure what its correction gains
 #[derive(Debug, Args)]
+#[command(after_help = "Example:\n  thermokin discover run-75-25 --out extended.json\n  \
+    thermokin discover run-75-25 --json - | jq .findings")]
 pub struct Arguments {
-    /// The run's folder.
+    /// The run folder
     run: PathBuf,
+    /// Write the extended model here
+    #[arg(long, value_name = "MODEL")]
+    out: Option<PathBuf>,
     #[command(flatten)]
     options: RunOptions,
+    /// Do not measure the gain on held-out cycles and poses: faster by half
+    #[arg(long)]
+    no_hold_out: bool,
+    /// Seed of the draws of noise by which the search is calibrated
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    seed: u64,
+    #[command(flatten)]
+    json: JsonOption,
+}
+
+impl From<DiscoveryError> for Failure {
+    fn from(error: DiscoveryError) -> Self {
+        match error {
+            DiscoveryError::Calibration(error) => error.into(),
+            error @ DiscoveryError::TooSmall => Failure::Work(error.to_string()),
+        }
+    }
 }
 
 /// Carries the command out.
@@ -27,41 +50,150 @@ pub struct Arguments {
 /// Bad input, or work that fails.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let (run, robot) = arguments.options.read(&arguments.run)?;
-    let request = Request { observe: arguments.options.observe(), ..Request::default() };
-    let calibration = calibrate(&robot, &run, &request, |_| true)?;
-    let campaign = &calibration.campaign;
-    let seen = campaign.visits.iter().map(|visit| Seen {
-        place: visit.place,
-        joints: visit.posture.positions(),
-        rises: visit.rises.clone(),
-    });
-    let unknown: Vec<usize> = (0..robot.targets.len()).filter(|&t| robot.targets[t].position.is_none()).collect();
-    let mut scene = Scene::new(
-        &calibration.model.robot,
-        &run,
-        seen,
-        &calibration.state.geometry.parameters,
-        &calibration.model.temperatures,
-        calibration.state.geometry.targets.clone(),
-        &unknown,
+    let request = DiscoveryRequest {
+        calibration: Request { observe: arguments.options.observe(), ..Request::default() },
+        seed: arguments.seed,
+        hold_out: !arguments.no_hold_out,
+    };
+    let discovery = discover(&robot, &run, &request)?;
+    if arguments.json.leaves_words() {
+        say(&discovery);
+    }
+    arguments.json.write(&as_json(&discovery))
+}
+
+/// A chance from its logarithm; the smallest positive number where it is smaller than any.
+fn chance(ln_p: f64) -> f64 {
+    ln_p.min(0.0).exp().max(f64::MIN_POSITIVE)
+}
+
+/// Where, in words.
+fn place(place: &SiteNames) -> String {
+    let mut words = Vec::new();
+    match (place.from, place.joint) {
+        (Some(from), Some(joint)) => words.push(format!("from joint {from} to joint {joint}")),
+        (_, Some(joint)) => words.push(format!("joint {joint}")),
+        _ => {}
+    }
+    words.extend(place.parameter.clone());
+    words.extend(place.sensor.clone());
+    words.extend(place.target.clone());
+    if !place.sensors.is_empty() {
+        words.push(place.sensors.join(" and "));
+    }
+    if !place.targets.is_empty() {
+        words.push(place.targets.join(" and "));
+    }
+    words.join(", ")
+}
+
+fn say_finding(finding: &Finding) {
+    println!("\n{} {} (chance in noise {:.1e})", finding.effect.replace('_', " "), place(&finding.place), chance(finding.ln_p));
+    for estimate in &finding.parameters {
+        println!("  {:<28} {:+.4e}  [{:+.4e}, {:+.4e}]", estimate.name, estimate.value, estimate.low, estimate.high);
+    }
+    if !finding.cycles.is_empty() {
+        let cycles: Vec<String> = finding.cycles.iter().map(ToString::to_string).collect();
+        println!("  in cycles {}; the labels are put right here", cycles.join(", "));
+    }
+    for wrong in finding.points.iter().take(10) {
+        println!("  cycle {}, pose {}, {}: {:.3} mm off, set aside", wrong.cycle, wrong.pose, wrong.target, wrong.error * 1e3);
+    }
+    if finding.cost_rms_mm > 0.0 {
+        println!("  it moves the targets by {:.3} mm RMS", finding.cost_rms_mm);
+    }
+    if let Some(gain) = finding.gain {
+        println!("  corrected, held-out RMS goes from {:.4} to {:.4} mm", gain.before_mm, gain.after_mm);
+    }
+    for other in &finding.alternatives {
+        println!(
+            "  these data hardly tell it from {} {} (log evidence {:+.1})",
+            other.effect.replace('_', " "),
+            place(&other.place),
+            other.log_evidence
+        );
+    }
+}
+
+fn say(discovery: &Discovery) {
+    let Discovery { baseline, extended, .. } = discovery;
+    for note in &discovery.notes {
+        println!("note: {note}");
+    }
+    println!("position error       mean      RMS      max  mm   held-out RMS");
+    for (name, level) in [("baseline", baseline), ("extended", extended)] {
+        let held_out = level.held_out.map_or_else(|| "-".to_owned(), |errors| format!("{:.4}", errors.rms_mm));
+        println!("{}   {held_out:>12}", words::errors(name, &level.fitted));
+    }
+    println!(
+        "\nnoise: {:.1} µm of a point, {:.1} µrad of each joint a visit; it makes {:.4} mm RMS",
+        discovery.noise_um,
+        discovery.noise.visit * 1e6,
+        discovery.floor_rms_mm
     );
-    let point = Point { state: calibration.state.clone(), effects: Vec::new() };
-    let unknowns = positional(&calibration.joint.unknowns);
-    let time = std::time::Instant::now();
-    let Some(found) = search(campaign, &mut scene, point, &unknowns, 1) else { return Err(Failure::Work("no fit".into())) };
-    println!("search {:?}  strata {:?}  trials {}", time.elapsed(), found.baseline.strata, found.trials.all);
-    for named in &found.named {
-        let s = &named.score;
-        println!("NAMED {:?} ratio {:.1} k {} lnp {:.1} visible {:.3}", s.instance, s.ratio, s.freedom, named.ln_p, s.visible);
-        println!("      {:?}", s.instance.parameters());
-        for rival in named.rivals.iter().take(4) {
-            println!("   rival {:?} ratio {:.1} k {} lnp {:.1}", rival.instance, rival.ratio, rival.freedom, rival.ln_p);
+    if discovery.findings.is_empty() && !discovery.unexplained.significant {
+        println!("nothing was found: the model explains these data down to their noise");
+    }
+    for finding in &discovery.findings {
+        say_finding(finding);
+    }
+    if discovery.unexplained.significant {
+        println!(
+            "\nunexplained: {:.4} mm RMS follow {} (chance in noise {:.1e}); no effect of the catalogue does that",
+            discovery.unexplained.rms_mm,
+            discovery.unexplained.follows.join(", "),
+            chance(discovery.unexplained.ln_p)
+        );
+    }
+}
+
+fn as_json(discovery: &Discovery) -> Value {
+    let level = |level: &Level| {
+        json!({
+            "mean_mm": level.fitted.mean_mm, "rms_mm": level.fitted.rms_mm, "max_mm": level.fitted.max_mm,
+            "heldout_rms_mm": level.held_out.map(|errors| errors.rms_mm),
+            "heldout_mean_mm": level.held_out.map(|errors| errors.mean_mm),
+            "heldout_max_mm": level.held_out.map(|errors| errors.max_mm),
+        })
+    };
+    let finding = |finding: &Finding| {
+        let mut value = json!({
+            "effect": finding.effect, "where": finding.place, "p_value": chance(finding.ln_p),
+            "parameters": finding.parameters,
+            "alternatives": finding.alternatives.iter().map(|other| json!({
+                "effect": other.effect, "where": other.place, "log_evidence": other.log_evidence,
+            })).collect::<Vec<_>>(),
+            "cost_rms_mm": finding.cost_rms_mm,
+            "gain": finding.gain.map(|gain| json!({
+                "heldout_rms_mm_before": gain.before_mm, "heldout_rms_mm_after": gain.after_mm,
+            })),
+        });
+        if !finding.cycles.is_empty() {
+            value["cycles"] = json!(finding.cycles);
         }
-    }
-    println!("after strata {:?} effects {:?}", found.last.strata, found.last.point.effects);
-    let all = crate::discover::candidates::candidates(&scene);
-    for s in crate::discover::search::scores(&found.last, &scene, &all, &found.trials).iter().take(5) {
-        println!("   left {:?} ratio {:.1} k {} lnp {:.1} over all {:.2}", s.instance, s.ratio, s.freedom, s.ln_p, found.trials.over_all(s.ln_p));
-    }
-    Ok(())
+        if !finding.points.is_empty() {
+            let point = |wrong: &crate::discover::Outlier| {
+                json!({"cycle": wrong.cycle, "pose": wrong.pose, "target": wrong.target, "error_mm": wrong.error * 1e3})
+            };
+            value["points"] = json!(finding.points.iter().map(point).collect::<Vec<_>>());
+        }
+        value
+    };
+    json!({
+        "format": 1, "command": "discover",
+        "noise_um": discovery.noise_um,
+        "noise": {
+            "point_um": discovery.noise_um, "visit_urad": discovery.noise.visit * 1e6,
+            "posture_urad": discovery.noise.posture * 1e6, "cycle_urad": discovery.noise.cycle * 1e6,
+            "floor_rms_mm": discovery.floor_rms_mm,
+        },
+        "baseline": level(&discovery.baseline),
+        "findings": discovery.findings.iter().map(finding).collect::<Vec<_>>(),
+        "unexplained": {
+            "significant": discovery.unexplained.significant, "p_value": chance(discovery.unexplained.ln_p),
+            "follows": discovery.unexplained.follows, "rms_mm": discovery.unexplained.rms_mm,
+        },
+        "extended": level(&discovery.extended),
+        "notes": discovery.notes,
+    })
 }

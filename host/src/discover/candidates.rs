@@ -8,6 +8,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::chance::{ln_chi_square, ln_likelihood_ratio, ln_smallest_of};
 use super::normal::{Factor, Normal, Strata, Whitened};
+use super::pattern::Pattern;
 use super::stage::{Column, Stage};
 use crate::effect::{Effect, Instance, Scene, Site, catalogue};
 
@@ -45,15 +46,32 @@ pub struct Score {
 /// How many independent tests the search amounts to.
 #[derive(Debug, Clone, Default)]
 pub struct Trials {
-    each: HashMap<(&'static str, Site), f64>,
+    each: HashMap<(&'static str, Site), Look>,
     /// Independent candidates in all.
     pub all: f64,
 }
 
+/// What looking at all shapes of one candidate is worth.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    /// Independent tests at the level that noise usually reaches.
+    tests: f64,
+    /// That level: a drop of the sum of squares.
+    usual: f64,
+}
+
+impl Look {
+    /// Independent tests at a level. Along a curve of shapes they grow with the root of the level (Davies 1987: the tube
+    /// about the curve is thinner the higher the level).
+    fn at(&self, drop: f64) -> f64 {
+        1.0 + (self.tests - 1.0) * (drop / self.usual.max(1.0)).max(1.0).sqrt()
+    }
+}
+
 impl Trials {
-    /// Independent tests that a candidate's shapes amount to.
-    pub fn of(&self, candidate: &Candidate) -> f64 {
-        self.each.get(&candidate.key()).copied().unwrap_or(1.0)
+    /// Logarithm of the chance that the best of a candidate's shapes looks as good by noise alone.
+    pub fn over_shapes(&self, candidate: &Candidate, ln_p: f64, drop: f64) -> f64 {
+        ln_smallest_of(ln_p, self.each.get(&candidate.key()).map_or(1.0, |look| look.at(drop)))
     }
 
     /// Logarithm of the chance that the best of the whole search looks as good as `ln_p` by noise alone.
@@ -62,11 +80,12 @@ impl Trials {
     }
 }
 
-/// All candidates of a scene.
+/// All candidates of a scene, patterns outside the catalogue included. Faults of readings are told by the log itself.
 pub fn candidates(scene: &Scene) -> Vec<Candidate> {
-    catalogue()
-        .iter()
-        .flat_map(|&effect| effect.sites(scene).into_iter().map(move |site| Candidate { effect, site }))
+    let effects = catalogue().iter().copied().filter(|effect| !effect.of_readings());
+    effects
+        .chain([&Pattern as &'static dyn Effect])
+        .flat_map(|effect| effect.sites(scene).into_iter().map(move |site| Candidate { effect, site }))
         .collect()
 }
 
@@ -190,14 +209,49 @@ fn score_of(candidate: &Candidate, tried: Tried, trials: &Trials) -> Score {
         shape: tried.shape,
         coefficients: tried.coefficients,
     };
-    let ln_p = ln_smallest_of(tried.ln_p, trials.of(candidate));
+    let ln_p = trials.over_shapes(candidate, tried.ln_p, tried.ratio);
     Score { instance, ratio: tried.ratio, freedom: tried.freedom, ln_p, visible: tried.visible }
+}
+
+/// The gains of a step at every time between two visits near one: times, the visits' times about each, twice the gain.
+pub fn step_profile(normal: &Normal<'_>, rivals: &Rivals, scene: &Scene, instance: &Instance) -> Vec<(f64, f64, f64, Option<Score>)> {
+    const NEAR: usize = 12;
+    let candidate = Candidate { effect: instance.effect, site: instance.site.clone() };
+    let Some((time_place, &time)) = instance.shape.iter().enumerate().next_back() else { return Vec::new() };
+    let mut times: Vec<f64> = scene.visits.iter().map(|visit| visit.time_s).collect();
+    times.dedup();
+    let after = times.partition_point(|&other| other < time);
+    let gaps = after.saturating_sub(NEAR).max(1)..(after + NEAR).min(times.len());
+    gaps.map(|gap| {
+        let mut shape = instance.shape.clone();
+        shape[time_place] = 0.5 * (times[gap - 1] + times[gap]);
+        let columns = columns(normal.white.stage, scene, &candidate, &shape);
+        let tried = try_shape(normal, rivals, &normal.cross(&columns), &columns, &candidate, &shape);
+        let ratio = tried.as_ref().map_or(0.0, |tried| tried.ratio);
+        (times[gap - 1], times[gap], ratio, tried.map(|tried| score_of(&candidate, tried, &Trials::default())))
+    })
+    .collect()
 }
 
 /// A candidate's best shape near one: a scan around it, twice, ever finer.
 pub fn refine(normal: &Normal<'_>, rivals: &Rivals, scene: &Scene, score: &Score, trials: &Trials) -> Score {
     const EACH_SIDE: i32 = 4;
     let candidate = Candidate { effect: score.instance.effect, site: score.instance.site.clone() };
+    if !candidate.effect.is_smooth() {
+        if candidate.effect.refine(scene, &score.instance.shape).iter().all(|reach| *reach == 0.0) {
+            return score.clone();
+        }
+        let profile = step_profile(normal, rivals, scene, &score.instance);
+        let best = profile.into_iter().filter_map(|(.., own)| own).max_by(|a, b| a.ratio.total_cmp(&b.ratio));
+        return best.filter(|best| best.ratio > score.ratio).map_or_else(
+            || score.clone(),
+            |best| {
+                // The chance of the best point of the grid, at the drop that was found between.
+                let ln_p = trials.over_shapes(&candidate, best.ln_p, best.ratio);
+                Score { ln_p, ..best }
+            },
+        );
+    }
     let mut best = score.clone();
     let mut reach = candidate.effect.refine(scene, &best.instance.shape);
     for _ in 0..2 {
@@ -278,8 +332,9 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
     let own = white_noise(&mut random, of_cycles, draws) * strata.cycle;
     shared.rows_mut(layout.nuisance + of_postures, of_cycles).copy_from(&own);
     let turned = factor.turn_draws(&normal, &shared);
-    let results: Vec<((&'static str, Site), Vec<f64>)> = in_two(candidates, |candidate| {
-        let mut smallest = vec![0.0_f64; draws];
+    // For each candidate and draw: the smallest chance, and the drop that it belongs to.
+    let results = in_two(candidates, |candidate| {
+        let mut smallest = vec![(0.0_f64, 0.0_f64); draws];
         for shape in candidate.effect.shapes(scene, &candidate.site) {
             let columns = columns(stage, scene, candidate, &shape);
             let cross = normal.cross(&columns);
@@ -287,21 +342,37 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
             let directions = projected.directions();
             let drops = directions.drops(&factor.project_draws(&cross, &turned, &shared));
             for (smallest, drop) in smallest.iter_mut().zip(drops) {
-                *smallest = smallest.min(ln_chi_square(drop, directions.count()));
+                let ln_p = ln_chi_square(drop, directions.count());
+                if ln_p < smallest.0 {
+                    *smallest = (ln_p, drop);
+                }
             }
         }
         Some((candidate.key(), smallest))
     });
-    let mean_count = |of: &mut dyn Iterator<Item = f64>| {
-        // -ln(1 - p) of the smallest of m independent chances is exponential with mean 1 / m.
-        let (count, sum) = of.fold((0.0, 0.0), |(count, sum), ln_p| (count + 1.0, sum - (-ln_p.exp().min(0.999_999)).ln_1p()));
-        if sum > 0.0 { (count / sum).max(1.0) } else { 1.0 }
-    };
-    let each: HashMap<_, _> =
-        results.iter().map(|(key, smallest)| (key.clone(), mean_count(&mut smallest.iter().copied()))).collect();
+    let each: HashMap<_, _> = results
+        .iter()
+        .map(|(key, smallest)| {
+            let tests = independent(smallest.iter().map(|(ln_p, _)| *ln_p));
+            let usual = smallest.iter().map(|(_, drop)| drop).sum::<f64>() / draws as f64;
+            (key.clone(), Look { tests, usual })
+        })
+        .collect();
     let best = (0..draws).map(|draw| {
-        results.iter().map(|(key, smallest)| ln_smallest_of(smallest[draw], each[key])).fold(0.0, f64::min)
+        let of = |(key, smallest): &(_, Vec<(f64, f64)>)| {
+            let look: &Look = &each[key];
+            ln_smallest_of(smallest[draw].0, look.at(smallest[draw].1))
+        };
+        results.iter().map(of).fold(0.0, f64::min)
     });
-    let all = mean_count(&mut best.collect::<Vec<_>>().into_iter());
+    let all = independent(best);
     Trials { each, all }
+}
+
+/// How many independent tests have the smallest chance that these draws had: `-ln(1 - p)` of the smallest of m is exponential
+/// with mean 1 / m.
+fn independent(ln_ps: impl Iterator<Item = f64>) -> f64 {
+    let (count, sum) =
+        ln_ps.fold((0.0, 0.0), |(count, sum), ln_p| (count + 1.0, sum - (-ln_p.exp().min(0.999_999)).ln_1p()));
+    if sum > 0.0 { (count / sum).max(1.0) } else { 1.0 }
 }

@@ -3,8 +3,17 @@
 
 pub mod candidates;
 mod chance;
+mod discovery;
+mod estimate;
 pub mod fit;
+pub mod gain;
+mod gross;
 mod noise;
 pub mod normal;
+mod pattern;
 pub mod search;
 pub mod stage;
+
+pub use discovery::{Alternative, Discovery, DiscoveryError, DiscoveryRequest, Finding, Gain, Level, Unexplained, discover};
+pub use estimate::Estimate;
+pub use gross::{Outlier, Swap};

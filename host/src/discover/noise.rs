@@ -12,19 +12,51 @@ const FEWEST: f64 = 20.0;
 /// A shared error must lift the restricted log likelihood by this much to be taken for real.
 const WORTH: f64 = 0.5;
 
-/// The noise of one point in units of the instrument's: root mean square of what lies beyond the reach of the joints.
+/// The median of the square of a standard normal number.
+const MEDIAN_SQUARE: f64 = 0.454_936_423_119_572_7;
+
+/// What is beyond this many standard deviations does not count towards one.
+const GROSS: f64 = 5.0;
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The noise of one point in units of the instrument's: root mean square of what lies beyond the reach of the joints, but
+/// for what is gross.
 fn point(stage: &Stage) -> Option<f64> {
-    let (mut count, mut sum) = (0.0, 0.0);
+    let mut squares = Vec::new();
     for block in &stage.blocks {
         let largest = block.spectrum.iter().copied().fold(0.0, f64::max);
-        for (row, _) in block.spectrum.iter().enumerate().filter(|(_, reach)| **reach < 1e-9 * largest) {
-            count += 1.0;
-            sum += block.residual[row].powi(2);
-        }
+        let beyond = block.spectrum.iter().enumerate().filter(|(_, reach)| **reach < 1e-9 * largest);
+        squares.extend(beyond.map(|(row, _)| block.residual[row].powi(2)));
     }
     // Unknown targets are fitted to these rows as well; parameters of the arm move targets together and are not.
-    count -= (3 * stage.places.targets()) as f64;
-    (count >= FEWEST).then(|| (sum / count).sqrt())
+    let fitted = (3 * stage.places.targets()) as f64;
+    let robust = median(squares.clone())? / MEDIAN_SQUARE;
+    squares.retain(|square| *square <= GROSS * GROSS * robust);
+    let count = squares.len() as f64 - fitted;
+    (count >= FEWEST).then(|| (squares.iter().sum::<f64>() / count).sqrt())
+}
+
+/// The noise of points and visits by medians, whatever a few points do: by it gross errors are told.
+pub fn robust(stage: &Stage) -> Strata {
+    let point = point(stage).unwrap_or(1.0);
+    let typical = |visit: f64| {
+        let of_block = stage.blocks.iter().flat_map(|block| {
+            let largest = block.spectrum.iter().copied().fold(0.0, f64::max);
+            let within = block.spectrum.iter().enumerate().filter(move |(_, reach)| **reach > 1e-4 * largest);
+            within.map(move |(row, reach)| block.residual[row].powi(2) / (point * point + visit * visit * reach))
+        });
+        median(of_block.collect()).unwrap_or(0.0)
+    };
+    let (mut low, mut high) = (LEAST.ln(), MOST.ln());
+    for _ in 0..30 {
+        let middle = 0.5 * (low + high);
+        if typical(middle.exp()) > MEDIAN_SQUARE { low = middle } else { high = middle }
+    }
+    Strata { point, visit: low.exp(), posture: 0.0, cycle: 0.0 }
 }
 
 /// The largest value of a function of one logarithm between bounds, by golden section.
@@ -78,22 +110,20 @@ pub fn shared(normal: &Normal<'_>) -> (f64, f64) {
         normal.factor(posture, cycle).map_or(f64::NEG_INFINITY, |factor| factor.log_likelihood)
     };
     let (mut posture, mut cycle) = (0.0, 0.0);
-    let mut best = likelihood(0.0, 0.0);
     for _ in 0..2 {
         if normal.layout.postures > 0 {
             let (log, value) = golden(LEAST.ln(), MOST.ln(), 12, |log| likelihood(log.exp(), cycle));
             let without = likelihood(0.0, cycle);
-            (posture, best) = if value > without + WORTH { (log.exp(), value) } else { (0.0, without) };
+            posture = if value > without + WORTH { log.exp() } else { 0.0 };
         }
         if normal.layout.cycles > 0 {
             let (log, value) = golden(LEAST.ln(), MOST.ln(), 12, |log| likelihood(posture, log.exp()));
             let without = likelihood(posture, 0.0);
-            (cycle, best) = if value > without + WORTH { (log.exp(), value) } else { (0.0, without) };
+            cycle = if value > without + WORTH { log.exp() } else { 0.0 };
         }
         if posture == 0.0 || cycle == 0.0 {
             break;
         }
     }
-    let _ = best;
     (posture, cycle)
 }

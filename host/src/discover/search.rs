@@ -1,11 +1,12 @@
-//! The search: one effect after another, each confirmed in the presence of the others.
+//! The search: one effect after another, each confirmed in the presence of the others, dropped when they make it needless,
+//! and exchanged where another explains more in its place.
 
 use super::candidates::{Candidate, Rivals, Score, Trials, candidates, refine, score, trials};
-use super::fit::{Fit, fit};
+use super::fit::{EffectCovariance, Fit, fit};
 use super::normal::{Normal, Whitened};
 use super::stage::Point;
 use crate::calibrate::{Campaign, Unknown};
-use crate::effect::Scene;
+use crate::effect::{Instance, Scene};
 
 /// What a search found.
 #[derive(Clone)]
@@ -20,15 +21,17 @@ pub struct Search {
     pub trials: Trials,
 }
 
-/// An effect that was named.
+/// An effect that was found.
 #[derive(Clone)]
 pub struct Named {
     /// Its score without it and with all others.
     pub score: Score,
     /// Logarithm of the chance that the whole search would find as much in noise.
     pub ln_p: f64,
-    /// The next best candidates in its place, best first.
+    /// The other candidates in its place, best first.
     pub rivals: Vec<Score>,
+    /// The times between which a step lies with 95 % confidence; none where the effect has no step.
+    pub between: Option<(f64, f64)>,
 }
 
 /// The chance of a false name over a whole run that is allowed to the search.
@@ -40,38 +43,175 @@ const MOST_EFFECTS: usize = 8;
 /// Rivals that are kept.
 const KEPT: usize = 12;
 
-/// The scores of all candidates on top of a fit.
+/// A pattern outside the catalogue must be this much less likely to be noise than the best of the catalogue (logarithm).
+const HANDICAP: f64 = 4.0;
+
+/// How many of the best are looked at between the points of their grids.
+const LOOKED_AT: usize = 6;
+
+/// Whether it is a pattern outside the catalogue.
+pub fn is_pattern(instance: &Instance) -> bool {
+    instance.effect.name() == "unexplained"
+}
+
+/// The scores of all candidates on top of a fit, best first; patterns with their handicap.
 pub fn scores(fit: &Fit, scene: &Scene, all: &[Candidate], trials: &Trials) -> Vec<Score> {
     let white = Whitened::new(&fit.stage, &fit.strata);
     let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
     let rivals = Rivals::new(&normal, &fit.strata);
     let mut best = score(&normal, &rivals, scene, all, trials);
-    // Between points of the grid lies more: the first few are looked at more closely.
-    for place in 0..best.len().min(6) {
+    let level = |score: &Score| score.ln_p + if is_pattern(&score.instance) { HANDICAP } else { 0.0 };
+    best.sort_by(|a, b| level(a).total_cmp(&level(b)));
+    for place in 0..best.len().min(LOOKED_AT) {
         best[place] = refine(&normal, &rivals, scene, &best[place], trials);
     }
-    best.sort_by(|a, b| a.ln_p.total_cmp(&b.ln_p));
+    best.sort_by(|a, b| level(a).total_cmp(&level(b)));
     best
 }
 
-/// Searches for effects.
+/// Half of a drop of twice the log likelihood that a 95 % interval allows.
+const ALLOWED_DROP: f64 = 3.84;
+
+/// Between which visits a step lies with 95 % confidence.
+fn step_between(without: &Fit, scene: &Scene, own: &Instance) -> Option<(f64, f64)> {
+    let white = Whitened::new(&without.stage, &without.strata);
+    let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
+    let rivals = Rivals::new(&normal, &without.strata);
+    let profile = super::candidates::step_profile(&normal, &rivals, scene, own);
+    let best = profile.iter().map(|(_, _, ratio, _)| *ratio).fold(0.0, f64::max);
+    let near: Vec<_> = profile.iter().filter(|(_, _, ratio, _)| *ratio > best - ALLOWED_DROP).collect();
+    Some((near.first()?.0, near.last()?.1))
+}
+
+/// The candidates that a model does not have yet.
+fn left<'a>(all: &'a [Candidate], effects: &'a [Instance]) -> Vec<Candidate> {
+    let has = |candidate: &Candidate| {
+        effects.iter().any(|own| {
+            own.effect.name() == candidate.effect.name()
+                && own.site == candidate.site
+                // A joint may err in more than one way that has no name.
+                && !is_pattern(own)
+        })
+    };
+    all.iter().filter(|candidate| !has(candidate)).cloned().collect()
+}
+
+/// Searches for effects on top of a calibrated model.
 pub fn search(campaign: &Campaign, scene: &mut Scene, start: Point, unknowns: &[Unknown], seed: u64) -> Option<Search> {
     let baseline = fit(campaign, scene, start, unknowns, None)?;
     let all = candidates(scene);
     let trials = trials(&baseline.stage, &baseline.strata, scene, &all, seed);
+    let last = climb(campaign, scene, baseline.clone(), unknowns, &all, &trials);
+    let mut search = Search { baseline, last, named: Vec::new(), trials };
+    search.judge(campaign, scene, unknowns, &all);
+    Some(search)
+}
+
+/// Adds effects to a fit as long as the data ask for them.
+pub fn climb(
+    campaign: &Campaign,
+    scene: &mut Scene,
+    from: Fit,
+    unknowns: &[Unknown],
+    all: &[Candidate],
+    trials: &Trials,
+) -> Fit {
     let limit = FALSE_NAME.ln();
-    let mut last = baseline.clone();
-    let mut named: Vec<Named> = Vec::new();
-    while named.len() < MOST_EFFECTS {
-        let known = |candidate: &Candidate| named.iter().any(|known| known.score.instance.effect.name() == candidate.effect.name() && known.score.instance.site == candidate.site);
-        let left: Vec<Candidate> = all.iter().filter(|candidate| !known(candidate)).cloned().collect();
-        let scores = scores(&last, scene, &left, &trials);
+    let mut last = from;
+    while last.point.effects.len() < MOST_EFFECTS {
+        super::fit::update_growth(scene, campaign, &last.point);
+        let scores = scores(&last, scene, &left(all, &last.point.effects), trials);
         let Some(best) = scores.first().filter(|best| trials.over_all(best.ln_p) < limit) else { break };
         let mut point = last.point.clone();
         point.effects.push(best.instance.clone());
         let Some(next) = fit(campaign, scene, point, unknowns, None) else { break };
-        named.push(Named { score: best.clone(), ln_p: trials.over_all(best.ln_p), rivals: scores.into_iter().skip(1).take(KEPT).collect() });
-        last = next;
+        last = prune(campaign, scene, next, unknowns, trials);
     }
-    Some(Search { baseline, last, named, trials })
+    super::fit::update_growth(scene, campaign, &last.point);
+    last
+}
+
+/// Twice the log likelihood that an effect's coefficients are worth in the presence of all others (Wald).
+fn worth(effect: &Instance, covariance: &EffectCovariance) -> Option<(f64, usize)> {
+    let count = covariance.coefficients.len();
+    if count == 0 {
+        return None;
+    }
+    let own = covariance.matrix.view((0, 0), (count, count)).into_owned();
+    let values = nalgebra::DVector::from_iterator(count, covariance.coefficients.iter().map(|&place| effect.coefficients[place]));
+    let solved = own.cholesky()?.solve(&values);
+    Some((values.dot(&solved), count))
+}
+
+/// Drops effects that the others make needless.
+fn prune(campaign: &Campaign, scene: &mut Scene, mut fitted: Fit, unknowns: &[Unknown], trials: &Trials) -> Fit {
+    while fitted.point.effects.len() > 1 {
+        let effects = &fitted.point.effects;
+        let weakest = effects
+            .iter()
+            .zip(&fitted.covariances)
+            .enumerate()
+            .filter_map(|(place, (effect, covariance))| {
+                let (ratio, freedom) = worth(effect, covariance)?;
+                let candidate = Candidate { effect: effect.effect, site: effect.site.clone() };
+                let ln_p = trials.over_shapes(&candidate, super::chance::ln_chi_square(ratio, freedom), ratio);
+                Some((place, trials.over_all(ln_p)))
+            })
+            .max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((place, _)) = weakest.filter(|(_, ln_p)| *ln_p > FALSE_NAME.ln()) else { break };
+        let mut point = fitted.point.clone();
+        point.effects.remove(place);
+        let Some(next) = fit(campaign, scene, point, unknowns, None) else { break };
+        fitted = next;
+    }
+    fitted
+}
+
+impl Search {
+    /// How each effect stands among its rivals with all others kept; one that a rival beats there gives way to it.
+    fn judge(&mut self, campaign: &Campaign, scene: &mut Scene, unknowns: &[Unknown], all: &[Candidate]) {
+        let mut exchanges = 0;
+        'again: loop {
+            self.named.clear();
+            for place in 0..self.last.point.effects.len() {
+                let mut point = self.last.point.clone();
+                let own = point.effects.remove(place);
+                let others = point.effects.clone();
+                let without = match others.is_empty() {
+                    true => Some(self.baseline.clone()),
+                    false => fit(campaign, scene, point, unknowns, None),
+                };
+                let Some(without) = without else { continue };
+                super::fit::update_growth(scene, campaign, &without.point);
+                let scores = scores(&without, scene, &left(all, &others), &self.trials);
+                let Some(mine) = scores.iter().find(|score| score.instance.same_name(&own)).cloned() else {
+                    // Without it nothing speaks for it any more: it was another's shadow.
+                    if let Some(next) = (exchanges < MOST_EFFECTS).then_some(without) {
+                        exchanges += 1;
+                        self.last = next;
+                        continue 'again;
+                    }
+                    continue;
+                };
+                if let Some(best) = scores.first().filter(|best| !best.instance.same_name(&own) && exchanges < MOST_EFFECTS)
+                {
+                    let mut point = without.point.clone();
+                    point.effects.insert(place, best.instance.clone());
+                    if let Some(next) = fit(campaign, scene, point, unknowns, None)
+                        .filter(|next| next.log_likelihood > self.last.log_likelihood + 1.0)
+                    {
+                        exchanges += 1;
+                        self.last = climb(campaign, scene, next, unknowns, all, &self.trials);
+                        continue 'again;
+                    }
+                }
+                let rivals = scores.into_iter().filter(|score| !score.instance.same_name(&own)).take(KEPT).collect();
+                let ln_p = self.trials.over_all(mine.ln_p);
+                let between = (!own.effect.is_smooth()).then(|| step_between(&without, scene, &own)).flatten();
+                self.named.push(Named { score: mine, ln_p, rivals, between });
+            }
+            break;
+        }
+        super::fit::update_growth(scene, campaign, &self.last.point);
+    }
 }

@@ -78,6 +78,8 @@ pub struct Block {
     pub residual: DVector<f64>,
     /// What independent errors of all joints of 1 rad do along each of these axes: variances.
     pub spectrum: Vec<f64>,
+    /// These axes, as columns: rows of the points by axes.
+    pub axes: DMatrix<f64>,
     /// The instrument's standard deviation, metres.
     pub sigma: f64,
 }
@@ -212,6 +214,7 @@ impl Stage {
                 places: turned.eigenvectors.tr_mul(&block),
                 residual: turned.eigenvectors.tr_mul(&residual),
                 spectrum,
+                axes: turned.eigenvectors,
                 sigma: visit.sigma,
             });
         }

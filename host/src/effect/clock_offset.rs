@@ -40,4 +40,8 @@ impl Effect for ClockOffset {
     fn fixed_coefficient(&self) -> Option<f64> {
         Some(1.0)
     }
+
+    fn is_of_run(&self) -> bool {
+        true
+    }
 }

@@ -33,11 +33,14 @@ impl Effect for FrameDrift {
     }
 
     fn terms(&self, scene: &Scene, _: &Site, _: &[f64]) -> Vec<Term> {
-        let (first, _) = scene.span_s();
-        world(&scene.by_visit(|visit| visit.time_s - first))
+        world(&scene.by_visit(|visit| visit.time_s - scene.origin_s))
     }
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         motion_names("shift m_per_s", "turn rad_per_s", coefficients)
+    }
+
+    fn is_of_run(&self) -> bool {
+        true
     }
 }

@@ -52,4 +52,8 @@ impl Effect for FrameJump {
     fn is_smooth(&self) -> bool {
         false
     }
+
+    fn is_of_run(&self) -> bool {
+        true
+    }
 }

@@ -59,6 +59,11 @@ pub trait Effect: Sync {
     /// The parameters of the contract, from the shape and the coefficients.
     fn parameters(&self, site: &Site, shape: &[f64], coefficients: &[f64]) -> Vec<Named>;
 
+    /// Whether it belongs to one run (a knock, a clock) and not to the arm: a model does not carry it to other runs.
+    fn is_of_run(&self) -> bool {
+        false
+    }
+
     /// Half-widths of a neighbourhood in which each nonlinear number may be refined from a point of the grid; zero where
     /// it must not move (a choice rather than a number).
     fn refine(&self, _scene: &Scene, shape: &[f64]) -> Vec<f64> {
@@ -87,7 +92,7 @@ pub trait Effect: Sync {
         None
     }
 
-    /// Whether the effect lives in the temperature readings alone, where the readings themselves tell more than the arm.
+    /// Whether the effect lives in the temperature readings alone: the log itself tells of it, far better than the arm does.
     fn of_readings(&self) -> bool {
         false
     }

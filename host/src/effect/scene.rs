@@ -68,6 +68,8 @@ pub struct Scene {
     /// For each joint, torques by unit first moments (1 kg·m) of the masses that it carries, where masses are unknown:
     /// visits by moments that these visits can tell apart.
     pub moments: Vec<Vec<Vec<f64>>>,
+    /// From when drifts count, s since the run began: fixed, whatever visits are looked at.
+    pub origin_s: f64,
     /// The visits in order of time.
     pub visits: Vec<Situation>,
     /// The sensors.
@@ -159,6 +161,7 @@ impl Scene {
             chain,
             masses_known,
             moments,
+            origin_s: visits.first().map_or(0.0, |visit| visit.time_s),
             visits,
             sensors,
             air: run.description.ambient.as_deref().and_then(series),
@@ -167,6 +170,16 @@ impl Scene {
             targets,
             unknown_targets: unknown,
             station: Vector3::from(run.description.instrument.position),
+        }
+    }
+
+    /// The same scene with a choice of its visits, by place.
+    pub fn select(&self, places: &[usize]) -> Scene {
+        let pick = |amounts: &Vec<f64>| places.iter().map(|&place| amounts[place]).collect();
+        Scene {
+            visits: places.iter().map(|&place| self.visits[place].clone()).collect(),
+            moments: self.moments.iter().map(|joint| joint.iter().map(pick).collect()).collect(),
+            ..self.clone()
         }
     }
 

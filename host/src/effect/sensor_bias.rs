@@ -57,4 +57,8 @@ impl Effect for SensorBias {
     fn is_smooth(&self) -> bool {
         false
     }
+
+    fn is_of_run(&self) -> bool {
+        true
+    }
 }

@@ -45,4 +45,8 @@ impl Effect for TargetShift {
     fn is_smooth(&self) -> bool {
         false
     }
+
+    fn is_of_run(&self) -> bool {
+        true
+    }
 }

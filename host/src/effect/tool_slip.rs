@@ -40,4 +40,8 @@ impl Effect for ToolSlip {
     fn is_smooth(&self) -> bool {
         false
     }
+
+    fn is_of_run(&self) -> bool {
+        true
+    }
 }

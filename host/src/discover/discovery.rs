@@ -1,0 +1,407 @@
+//! A whole discovery: gross errors put right, the baseline, the search, what is left, and what the extension gains.
+
+use super::candidates::{Score, candidates};
+use super::chance::ln_chi_square;
+use super::estimate::{Estimate, estimates};
+use super::fit::{Fit, positional, update_growth};
+use super::gain::{Question, folds};
+use super::gross::{Outlier, Swap, plainly_wrong, put_labels_right, without};
+use super::normal::{Normal, Strata, Whitened};
+use super::pattern;
+use super::search::{Search, is_pattern, search};
+use super::stage::{Point, Stage, errors};
+use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate};
+use crate::effect::{Instance, Scene, Seen, SiteNames};
+use crate::model::{ErrorTally, Errors};
+use crate::robot::Robot;
+use crate::run::Run;
+
+/// What a discovery is asked to do.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct DiscoveryRequest {
+    /// How the baseline is calibrated.
+    pub calibration: Request,
+    /// Seed of the draws that calibrate the search.
+    pub seed: u64,
+    /// Whether gains are measured on held-out data.
+    pub hold_out: bool,
+}
+
+/// Errors at one level, fitted and held out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Level {
+    /// On the data it was fitted to.
+    pub fitted: Errors,
+    /// On whole cycles and poses that were held out; none where there are too few.
+    pub held_out: Option<Errors>,
+}
+
+/// What a finding gains.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gain {
+    /// Held-out RMS without it, with those found before it, mm.
+    pub before_mm: f64,
+    /// Held-out RMS with it, mm.
+    pub after_mm: f64,
+}
+
+/// A candidate that explains the same as well.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alternative {
+    /// The effect's name.
+    pub effect: &'static str,
+    /// Where.
+    pub place: SiteNames,
+    /// Log evidence relative to the finding: negative is less.
+    pub log_evidence: f64,
+}
+
+/// A named cause.
+#[derive(Debug, Clone)]
+pub struct Finding {
+    /// The effect's name.
+    pub effect: &'static str,
+    /// Where.
+    pub place: SiteNames,
+    /// Logarithm of the chance that the whole search would find as much in noise.
+    pub ln_p: f64,
+    /// Its numbers.
+    pub parameters: Vec<Estimate>,
+    /// What the data cannot tell from it.
+    pub alternatives: Vec<Alternative>,
+    /// What it moves the targets by, RMS, mm.
+    pub cost_rms_mm: f64,
+    /// What it gains on held-out data.
+    pub gain: Option<Gain>,
+    /// The cycles that it concerns, for exchanged labels.
+    pub cycles: Vec<u32>,
+    /// The points that it concerns, for gross errors.
+    pub points: Vec<Outlier>,
+    /// As the model has it; none for gross errors.
+    pub instance: Option<Instance>,
+}
+
+/// What is significant and has no name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Unexplained {
+    /// Whether there is any.
+    pub significant: bool,
+    /// Logarithm of the chance of it in noise.
+    pub ln_p: f64,
+    /// The covariates that it follows.
+    pub follows: Vec<String>,
+    /// What it moves the targets by, RMS, mm.
+    pub rms_mm: f64,
+}
+
+/// What was discovered.
+pub struct Discovery {
+    /// The baseline calibration, of the run with gross errors put right.
+    pub calibration: Calibration,
+    /// The run as effects see it.
+    pub scene: Scene,
+    /// The measurements that were used.
+    pub campaign: Campaign,
+    /// The search.
+    pub search: Search,
+    /// What was named.
+    pub findings: Vec<Finding>,
+    /// Geometry and growth.
+    pub baseline: Level,
+    /// With all that was found.
+    pub extended: Level,
+    /// What is left.
+    pub unexplained: Unexplained,
+    /// The strata of noise.
+    pub noise: Strata,
+    /// Noise of one coordinate of a point, micrometres.
+    pub noise_um: f64,
+    /// RMS distance that noise alone makes, mm.
+    pub floor_rms_mm: f64,
+    /// Remarks in words.
+    pub notes: Vec<String>,
+}
+
+/// Why a discovery cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DiscoveryError {
+    /// The baseline cannot be calibrated.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationError),
+    /// The data leave no freedom to judge anything.
+    #[error("the run is too small to judge residuals: geometry takes all its freedom")]
+    TooSmall,
+}
+
+/// Rounds of setting plainly wrong points aside.
+const ROUNDS: usize = 4;
+
+/// Rivals within this of a finding, in log evidence, are alternatives.
+const CLOSE: f64 = 3.0;
+
+/// At most so many are told.
+const TOLD: usize = 3;
+
+/// The chance of calling noise unexplained.
+const FALSE_REST: f64 = 0.003;
+
+/// Examines a run.
+///
+/// # Errors
+/// What calibration refuses, and runs too small to judge.
+pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<Discovery, DiscoveryError> {
+    let (labelled, swaps) = put_labels_right(robot, run, &request.calibration).map_err(CalibrationError::from)?;
+    let mut set_aside: Vec<Outlier> = Vec::new();
+    let (mut calibration, mut scene);
+    let mut rounds = 0;
+    loop {
+        let cleaned = without(&labelled, &set_aside);
+        calibration = calibrate(robot, &cleaned, &request.calibration, |_| true)?;
+        scene = scene_of(&calibration, &cleaned);
+        let point = Point { state: calibration.state.clone(), effects: Vec::new() };
+        update_growth(&mut scene, &calibration.campaign, &point);
+        let stage = Stage::new(&calibration.campaign, &scene, &point, &positional(&calibration.joint.unknowns));
+        let wrong = outliers(&calibration.campaign, &stage);
+        rounds += 1;
+        if wrong.is_empty() || rounds > ROUNDS {
+            break;
+        }
+        set_aside.extend(wrong);
+    }
+    let campaign = calibration.campaign.clone();
+    let unknowns = positional(&calibration.joint.unknowns);
+    let start = Point { state: calibration.state.clone(), effects: Vec::new() };
+    let found = search(&campaign, &mut scene, start.clone(), &unknowns, request.seed).ok_or(DiscoveryError::TooSmall)?;
+    let mut findings = gross_findings(&swaps, &set_aside, run);
+    let all = candidates(&scene);
+    let question = Question {
+        campaign: &campaign,
+        scene: &scene,
+        unknowns: &unknowns,
+        start: &start,
+        candidates: &all,
+        trials: &found.trials,
+    };
+    let folds = if request.hold_out { folds(&campaign) } else { Vec::new() };
+    let mut held_out_before = None;
+    let mut held_out_after = None;
+    let mut steps = Vec::new();
+    if !folds.is_empty() {
+        if found.last.point.effects.is_empty() {
+            held_out_before = question.with(&found.baseline.point, &folds);
+            held_out_after = held_out_before;
+        } else {
+            if let Some(nested) = question.nested(&folds) {
+                held_out_before = Some(nested.before);
+                held_out_after = Some(nested.after);
+            }
+            let mut last = held_out_before;
+            for count in 1..=found.last.point.effects.len() {
+                let effects = found.last.point.effects[..count].to_vec();
+                let next = question.with(&Point { effects, ..found.last.point.clone() }, &folds);
+                steps.push(last.zip(next).map(|(before, after)| Gain {
+                    before_mm: before.errors().rms_mm,
+                    after_mm: after.errors().rms_mm,
+                }));
+                last = next;
+            }
+        }
+    }
+    for (place, named) in found.named.iter().enumerate() {
+        let instance = &found.last.point.effects[place];
+        if is_pattern(instance) {
+            continue;
+        }
+        let bounds: Vec<(usize, f64, f64)> =
+            named.between.map(|(low, high)| (instance.shape.len() - 1, low, high)).into_iter().collect();
+        findings.push(Finding {
+            effect: instance.effect.name(),
+            place: instance.site.named(&campaign.chain, &campaign.sensors, &campaign.targets),
+            ln_p: named.ln_p,
+            parameters: estimates(instance, &found.last.covariances[place], &bounds),
+            alternatives: alternatives(&campaign, &named.score, &named.rivals),
+            cost_rms_mm: cost(&campaign, &scene, &found.last, place),
+            gain: steps.get(place).copied().flatten(),
+            cycles: Vec::new(),
+            points: Vec::new(),
+            instance: Some(instance.clone()),
+        });
+    }
+    let unexplained = rest(&campaign, &scene, &found);
+    let level = |point: &Point, held_out: Option<ErrorTally>| {
+        let mut tally = ErrorTally::default();
+        errors(&campaign, &scene, point, |_, _, error| tally.add(error.norm()));
+        Level { fitted: tally.errors(), held_out: held_out.map(|tally| tally.errors()) }
+    };
+    let baseline = level_of_baseline(&campaign, &scene, &found.baseline.point, held_out_before);
+    let extended = level(&found.last.point, held_out_after);
+    let sigma = campaign.visits.iter().map(|visit| visit.sigma).sum::<f64>() / campaign.visits.len() as f64;
+    let noise = found.last.strata;
+    let floor_rms_mm = floor(&found.last.stage, &noise) * 1e3;
+    let notes = calibration.notes.clone();
+    Ok(Discovery {
+        notes,
+        noise_um: noise.point * sigma * 1e6,
+        floor_rms_mm,
+        noise,
+        unexplained,
+        baseline,
+        extended,
+        findings,
+        search: found,
+        campaign,
+        scene,
+        calibration,
+    })
+}
+
+fn level_of_baseline(campaign: &Campaign, scene: &Scene, point: &Point, held_out: Option<ErrorTally>) -> Level {
+    let mut own = scene.clone();
+    update_growth(&mut own, campaign, point);
+    let mut tally = ErrorTally::default();
+    errors(campaign, &own, point, |_, _, error| tally.add(error.norm()));
+    Level { fitted: tally.errors(), held_out: held_out.map(|tally| tally.errors()) }
+}
+
+/// The scene of a calibrated run.
+pub fn scene_of(calibration: &Calibration, run: &Run) -> Scene {
+    let seen = calibration.campaign.visits.iter().map(|visit| Seen {
+        place: visit.place,
+        joints: visit.posture.positions(),
+        rises: visit.rises.clone(),
+    });
+    let robot = &calibration.model.robot;
+    let unknown: Vec<usize> = (0..robot.targets.len()).filter(|&t| robot.targets[t].position.is_none()).collect();
+    Scene::new(
+        robot,
+        run,
+        seen,
+        &calibration.state.geometry.parameters,
+        &calibration.model.temperatures,
+        calibration.state.geometry.targets.clone(),
+        &unknown,
+    )
+}
+
+fn outliers(campaign: &Campaign, stage: &Stage) -> Vec<Outlier> {
+    plainly_wrong(campaign, stage)
+        .into_iter()
+        .map(|(visit, position, error, statistic)| {
+            let seen = &campaign.visits[visit];
+            Outlier {
+                visit: seen.place,
+                cycle: seen.cycle,
+                pose: seen.pose,
+                target: campaign.targets[seen.positions[position].target].clone(),
+                error,
+                ln_p: ln_chi_square(statistic, 3),
+            }
+        })
+        .collect()
+}
+
+fn gross_findings(swaps: &[Swap], set_aside: &[Outlier], run: &Run) -> Vec<Finding> {
+    let bare = |effect, place, ln_p| Finding {
+        effect,
+        place,
+        ln_p,
+        parameters: Vec::new(),
+        alternatives: Vec::new(),
+        cost_rms_mm: 0.0,
+        gain: None,
+        cycles: Vec::new(),
+        points: Vec::new(),
+        instance: None,
+    };
+    let exact = |name: &str, value: f64| Estimate { name: name.to_owned(), value, low: value, high: value };
+    let mut findings: Vec<Finding> = swaps
+        .iter()
+        .map(|swap| {
+            let mut finding =
+                bare("target_swap", SiteNames { targets: swap.targets.to_vec(), ..SiteNames::default() }, swap.ln_p);
+            finding.cycles = swap.cycles.clone();
+            finding.parameters = vec![exact("visits", swap.visits.len() as f64)];
+            finding
+        })
+        .collect();
+    if !set_aside.is_empty() {
+        let least = set_aside.iter().map(|wrong| wrong.ln_p).fold(0.0, f64::min);
+        let mut finding = bare("outliers", SiteNames::default(), least + (run.point_count() as f64).ln());
+        finding.parameters = vec![exact("fraction", set_aside.len() as f64 / run.point_count() as f64)];
+        finding.points = set_aside.to_vec();
+        findings.push(finding);
+    }
+    findings
+}
+
+fn alternatives(campaign: &Campaign, own: &Score, rivals: &[Score]) -> Vec<Alternative> {
+    rivals
+        .iter()
+        .filter(|rival| !is_pattern(&rival.instance) && rival.ln_p < own.ln_p + CLOSE)
+        .take(TOLD)
+        .map(|rival| Alternative {
+            effect: rival.instance.effect.name(),
+            place: rival.instance.site.named(&campaign.chain, &campaign.sensors, &campaign.targets),
+            log_evidence: own.ln_p - rival.ln_p,
+        })
+        .collect()
+}
+
+/// What an effect moves the targets by, RMS over all points, mm.
+fn cost(campaign: &Campaign, scene: &Scene, fitted: &Fit, place: usize) -> f64 {
+    let mut without = fitted.point.clone();
+    without.effects.remove(place);
+    let mut with = Vec::new();
+    errors(campaign, scene, &fitted.point, |_, _, error| with.push(error));
+    let (mut sum, mut count) = (0.0, 0);
+    errors(campaign, scene, &without, |_, _, error| {
+        sum += (error - with[count]).norm_squared();
+        count += 1;
+    });
+    (sum / count.max(1) as f64).sqrt() * 1e3
+}
+
+/// RMS distance that noise of points and visits makes, metres.
+fn floor(stage: &Stage, noise: &Strata) -> f64 {
+    let (mut sum, mut points) = (0.0, 0.0);
+    for block in &stage.blocks {
+        let variance: f64 =
+            block.spectrum.iter().map(|reach| noise.point.powi(2) + noise.visit.powi(2) * reach).sum();
+        sum += variance * block.sigma * block.sigma;
+        points += block.spectrum.len() as f64 / 3.0;
+    }
+    (sum / points).sqrt()
+}
+
+/// What is left after the search: patterns that it found outside the catalogue, and errors that postures or cycles share.
+fn rest(campaign: &Campaign, scene: &Scene, found: &Search) -> Unexplained {
+    let mut follows = Vec::new();
+    let mut ln_p = 0.0_f64;
+    let mut squares = 0.0;
+    for (place, named) in found.named.iter().enumerate() {
+        let instance = &found.last.point.effects[place];
+        if is_pattern(instance) {
+            follows.extend(pattern::follows(scene, &instance.site, &instance.shape));
+            ln_p = ln_p.min(named.ln_p);
+            squares += cost(campaign, scene, &found.last, place).powi(2);
+        }
+    }
+    let white = Whitened::new(&found.last.stage, &found.last.strata);
+    let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
+    let Strata { posture, cycle, .. } = found.last.strata;
+    let likelihood = |posture: f64, cycle: f64| normal.factor(posture, cycle).map(|factor| factor.log_likelihood);
+    let mut shared = |with: f64, without: Option<f64>, words: &str| {
+        let (Some(all), Some(without)) = (likelihood(posture, cycle), without) else { return };
+        if with > 0.0 {
+            // On the edge of what a variance can be, half of the chance is at zero.
+            let own = 0.5_f64.ln() + ln_chi_square(2.0 * (all - without), 1);
+            if own < FALSE_REST.ln() {
+                follows.push(words.to_owned());
+                ln_p = ln_p.min(own);
+            }
+        }
+    };
+    shared(posture, likelihood(0.0, cycle), "posture");
+    shared(cycle, likelihood(posture, 0.0), "cycle");
+    Unexplained { significant: ln_p < FALSE_REST.ln(), ln_p, follows, rms_mm: squares.sqrt() }
+}

@@ -1,0 +1,127 @@
+//! What an extension gains on data that it was not fitted to: whole cycles and whole poses held out, the choice of effects
+//! held out with them.
+
+use super::candidates::{Candidate, Trials};
+use super::fit::{Fit, fit};
+use super::search::climb;
+use super::stage::{Point, errors};
+use crate::calibrate::{Campaign, Unknown};
+use crate::effect::Scene;
+use crate::model::ErrorTally;
+
+/// One fold: the places of the visits that are held out.
+pub type Fold = Vec<usize>;
+
+/// Parts into which poses and cycles are split.
+const PARTS: usize = 3;
+
+/// Folds by whole poses and by whole cycles, as far as there are enough of them. Neighbouring cycles are alike and are held
+/// out together; poses are taken in turn.
+pub fn folds(campaign: &Campaign) -> Vec<Fold> {
+    let split = |key: &dyn Fn(usize) -> u32, in_turn: bool| -> Vec<Fold> {
+        let mut keys: Vec<u32> = (0..campaign.visits.len()).map(key).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        if keys.len() < 2 * PARTS {
+            return Vec::new();
+        }
+        let part = |number: u32| {
+            let rank = keys.binary_search(&number).unwrap_or(0);
+            if in_turn { rank % PARTS } else { rank * PARTS / keys.len() }
+        };
+        (0..PARTS).map(|own| (0..campaign.visits.len()).filter(|&place| part(key(place)) == own).collect()).collect()
+    };
+    let mut all = split(&|place| campaign.visits[place].pose, true);
+    all.extend(split(&|place| campaign.visits[place].cycle, false));
+    all
+}
+
+/// Errors over everything that was held out.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct HeldOut {
+    /// Without effects.
+    pub before: ErrorTally,
+    /// With the effects chosen anew in every fold.
+    pub after: ErrorTally,
+}
+
+/// What [`held_out`] needs to know.
+pub struct Question<'a> {
+    /// All visits.
+    pub campaign: &'a Campaign,
+    /// Their scene.
+    pub scene: &'a Scene,
+    /// What calibration estimates.
+    pub unknowns: &'a [Unknown],
+    /// A start near the solution.
+    pub start: &'a Point,
+    /// The candidates of the search.
+    pub candidates: &'a [Candidate],
+    /// How many tests the search amounts to.
+    pub trials: &'a Trials,
+}
+
+impl Question<'_> {
+    /// Fits on all visits but those held out, and sums up the errors on those.
+    fn on_fold(&self, fold: &Fold, make: impl Fn(&Campaign, &mut Scene) -> Option<Fit>) -> Option<ErrorTally> {
+        let rest: Vec<usize> = (0..self.campaign.visits.len()).filter(|place| fold.binary_search(place).is_err()).collect();
+        let mut visits = rest.iter().map(|&place| self.campaign.visits[place].clone());
+        let campaign = Campaign { visits: visits.by_ref().collect(), ..self.campaign.select(|_| false) };
+        let mut scene = self.scene.select(&rest);
+        let fitted = make(&campaign, &mut scene)?;
+        let mut whole = self.scene.clone();
+        super::fit::update_growth(&mut whole, self.campaign, &fitted.point);
+        let mut tally = ErrorTally::default();
+        errors(self.campaign, &whole, &fitted.point, |visit, _, error| {
+            if fold.binary_search(&visit).is_ok() {
+                tally.add(error.norm());
+            }
+        });
+        Some(tally)
+    }
+
+    /// Errors with given effects in the model, values fitted anew in every fold. None where a fold cannot be fitted.
+    pub fn with(&self, point: &Point, folds: &[Fold]) -> Option<ErrorTally> {
+        let mut sum = ErrorTally::default();
+        for tally in in_two(folds, |fold| {
+            self.on_fold(fold, |campaign, scene| fit(campaign, scene, point.clone(), self.unknowns, None))
+        }) {
+            sum.merge(&tally?);
+        }
+        Some(sum)
+    }
+
+    /// Errors without effects, and with effects searched for anew in every fold.
+    pub fn nested(&self, folds: &[Fold]) -> Option<HeldOut> {
+        let mut sum = HeldOut::default();
+        let bare = Point { effects: Vec::new(), ..self.start.clone() };
+        for tally in in_two(folds, |fold| {
+            let baseline = |campaign: &Campaign, scene: &mut Scene| fit(campaign, scene, bare.clone(), self.unknowns, None);
+            let before = self.on_fold(fold, baseline)?;
+            let after = self.on_fold(fold, |campaign, scene| {
+                let from = baseline(campaign, scene)?;
+                Some(climb(campaign, scene, from, self.unknowns, self.candidates, self.trials))
+            })?;
+            Some((before, after))
+        }) {
+            let (before, after) = tally?;
+            sum.before.merge(&before);
+            sum.after.merge(&after);
+        }
+        Some(sum)
+    }
+}
+
+/// Runs over folds on two threads.
+fn in_two<R: Send>(folds: &[Fold], of: impl Fn(&Fold) -> R + Sync) -> Vec<R> {
+    let half = |parity: usize| -> Vec<R> { folds.iter().skip(parity).step_by(2).map(&of).collect() };
+    std::thread::scope(|scope| {
+        let other = scope.spawn(|| half(1));
+        let mut all = half(0);
+        match other.join() {
+            Ok(rest) => all.extend(rest),
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+        all
+    })
+}
