@@ -55,9 +55,7 @@ fn span(scene: &Scene) -> f64 {
 /// A link's mean rise at every visit.
 fn rise(scene: &Scene, link: f64) -> Vec<f64> {
     let sensors = scene.sensors_of(link as usize);
-    scene.by_visit(|visit| {
-        sensors.iter().map(|&sensor| visit.rises[sensor]).sum::<f64>() / sensors.len().max(1) as f64
-    })
+    scene.by_visit(|visit| sensors.iter().map(|&sensor| visit.rises[sensor]).sum::<f64>() / sensors.len().max(1) as f64)
 }
 
 fn times(a: Vec<f64>, b: Vec<f64>) -> Vec<f64> {
