@@ -48,20 +48,35 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let point = Point { state: calibration.state.clone(), effects: Vec::new() };
     let unknowns = positional(&calibration.joint.unknowns);
     let time = std::time::Instant::now();
-    let Some(found) = search(campaign, &mut scene, point, &unknowns, 1) else { return Err(Failure::Work("no fit".into())) };
+    let Some(found) = search(campaign, &mut scene, point, &unknowns, 1) else {
+        return Err(Failure::Work("no fit".into()));
+    };
     println!("search {:?}  strata {:?}  trials {}", time.elapsed(), found.baseline.strata, found.trials.all);
     for named in &found.named {
         let s = &named.score;
-        println!("NAMED {:?} ratio {:.1} k {} lnp {:.1} visible {:.3}", s.instance, s.ratio, s.freedom, named.ln_p, s.visible);
+        println!(
+            "NAMED {:?} ratio {:.1} k {} lnp {:.1} visible {:.3}",
+            s.instance, s.ratio, s.freedom, named.ln_p, s.visible
+        );
         println!("      {:?}", s.instance.parameters());
         for rival in named.rivals.iter().take(4) {
-            println!("   rival {:?} ratio {:.1} k {} lnp {:.1}", rival.instance, rival.ratio, rival.freedom, rival.ln_p);
+            println!(
+                "   rival {:?} ratio {:.1} k {} lnp {:.1}",
+                rival.instance, rival.ratio, rival.freedom, rival.ln_p
+            );
         }
     }
     println!("after strata {:?} effects {:?}", found.last.strata, found.last.point.effects);
     let all = crate::discover::candidates::candidates(&scene);
     for s in crate::discover::search::scores(&found.last, &scene, &all, &found.trials).iter().take(5) {
-        println!("   left {:?} ratio {:.1} k {} lnp {:.1} over all {:.2}", s.instance, s.ratio, s.freedom, s.ln_p, found.trials.over_all(s.ln_p));
+        println!(
+            "   left {:?} ratio {:.1} k {} lnp {:.1} over all {:.2}",
+            s.instance,
+            s.ratio,
+            s.freedom,
+            s.ln_p,
+            found.trials.over_all(s.ln_p)
+        );
     }
     Ok(())
 }

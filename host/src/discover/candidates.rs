@@ -117,7 +117,8 @@ impl Rivals {
         let factors: Vec<Factor> = pairs.into_iter().filter_map(|(p, c)| normal.factor(p, c)).collect();
         let nothing = factors.iter().map(|factor| factor.log_likelihood).fold(f64::NEG_INFINITY, f64::max);
         let layout = normal.layout;
-        let between = (layout.joints * layout.postures) as f64 - layout.nuisance.min(layout.joints * layout.postures / 2) as f64;
+        let between =
+            (layout.joints * layout.postures) as f64 - layout.nuisance.min(layout.joints * layout.postures / 2) as f64;
         Rivals { factors, nothing, between }
     }
 }
@@ -294,7 +295,8 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
     });
     let mean_count = |of: &mut dyn Iterator<Item = f64>| {
         // -ln(1 - p) of the smallest of m independent chances is exponential with mean 1 / m.
-        let (count, sum) = of.fold((0.0, 0.0), |(count, sum), ln_p| (count + 1.0, sum - (-ln_p.exp().min(0.999_999)).ln_1p()));
+        let (count, sum) =
+            of.fold((0.0, 0.0), |(count, sum), ln_p| (count + 1.0, sum - (-ln_p.exp().min(0.999_999)).ln_1p()));
         if sum > 0.0 { (count / sum).max(1.0) } else { 1.0 }
     };
     let each: HashMap<_, _> =

@@ -50,9 +50,8 @@ const ARRIVED: f64 = 1e-4;
 
 /// The unknowns that can be fitted here: orientations and distances are not looked at.
 pub fn positional(unknowns: &[Unknown]) -> Vec<Unknown> {
-    let seen = |unknown: &&Unknown| {
-        matches!(unknown, Unknown::Parameter(_) | Unknown::Target { .. } | Unknown::Growth(_))
-    };
+    let seen =
+        |unknown: &&Unknown| matches!(unknown, Unknown::Parameter(_) | Unknown::Target { .. } | Unknown::Growth(_));
     unknowns.iter().filter(seen).copied().collect()
 }
 
@@ -95,12 +94,7 @@ fn by_shape(stage: &Stage, scene: &Scene, effect: &Instance, place: usize) -> Co
     column
 }
 
-fn linearise(
-    campaign: &Campaign,
-    scene: &Scene,
-    point: &Point,
-    unknowns: &[Unknown],
-) -> (Stage, Vec<Owner>) {
+fn linearise(campaign: &Campaign, scene: &Scene, point: &Point, unknowns: &[Unknown]) -> (Stage, Vec<Owner>) {
     let mut stage = Stage::new(campaign, scene, point, unknowns);
     let mut owners: Vec<Owner> = (0..unknowns.len()).map(Owner::Unknown).collect();
     for (rank, effect) in point.effects.iter().enumerate() {
@@ -147,7 +141,8 @@ pub fn fit(
         let (step, covariance) = factor.solution(owners.len());
         let length = step.dot(&normal.right.rows(0, owners.len()));
         if length.abs() < ARRIVED || round + 1 == ROUNDS {
-            let covariances = (0..point.effects.len()).map(|effect| own_covariance(effect, &owners, &covariance)).collect();
+            let covariances =
+                (0..point.effects.len()).map(|effect| own_covariance(effect, &owners, &covariance)).collect();
             let log_likelihood = factor.log_likelihood;
             return Some(Fit { point, stage, strata: noise, log_likelihood, covariances });
         }

@@ -6,5 +6,6 @@ mod chance;
 pub mod fit;
 mod noise;
 pub mod normal;
+pub mod readings;
 pub mod search;
 pub mod stage;

@@ -75,8 +75,7 @@ impl<'a> Whitened<'a> {
     }
 
     fn nuisance_rows(&self, visit: usize) -> DMatrix<f64> {
-        let columns: Vec<DVector<f64>> =
-            self.stage.nuisance.iter().map(|column| self.rows_of(column, visit)).collect();
+        let columns: Vec<DVector<f64>> = self.stage.nuisance.iter().map(|column| self.rows_of(column, visit)).collect();
         match columns.is_empty() {
             true => DMatrix::zeros(self.blocks[visit].residual.len(), 0),
             false => DMatrix::from_columns(&columns),
@@ -186,13 +185,11 @@ impl<'a> Normal<'a> {
             left.columns_mut(own, joints).copy_from(&block.places.columns(0, joints));
             left.set_column(own + joints, &block.residual);
             let gram = left.tr_mul(&left);
-            let shared: Vec<usize> = [
-                layout.posture(white.stage.blocks[visit].posture),
-                layout.cycle(white.stage.blocks[visit].cycle),
-            ]
-            .into_iter()
-            .flatten()
-            .collect();
+            let shared: Vec<usize> =
+                [layout.posture(white.stage.blocks[visit].posture), layout.cycle(white.stage.blocks[visit].cycle)]
+                    .into_iter()
+                    .flatten()
+                    .collect();
             let mut add = |to: (usize, usize), from: (usize, usize), shape: (usize, usize)| {
                 let mut part = normal.matrix.view_mut(to, shape);
                 part += gram.view(from, shape);
@@ -262,8 +259,7 @@ impl<'a> Normal<'a> {
             if columns.iter().all(|column| column.iter().all(|(_, amounts)| amounts[visit] == 0.0)) {
                 continue;
             }
-            let rows: Vec<DVector<f64>> =
-                columns.iter().map(|column| self.white.rows_of(column, visit)).collect();
+            let rows: Vec<DVector<f64>> = columns.iter().map(|column| self.white.rows_of(column, visit)).collect();
             for i in 0..rows.len() {
                 for j in 0..=i {
                     cross.own[(i, j)] += rows[i].dot(&rows[j]);
@@ -289,8 +285,7 @@ impl<'a> Normal<'a> {
             matrix[(nuisance + rank, nuisance + rank)] += sigma.powi(-2);
             log_prior += 2.0 * sigma.ln();
         }
-        let scale: Vec<f64> =
-            (0..chosen.len()).map(|i| 1.0 / matrix[(i, i)].max(f64::MIN_POSITIVE).sqrt()).collect();
+        let scale: Vec<f64> = (0..chosen.len()).map(|i| 1.0 / matrix[(i, i)].max(f64::MIN_POSITIVE).sqrt()).collect();
         for i in 0..chosen.len() {
             for j in 0..chosen.len() {
                 matrix[(i, j)] *= scale[i] * scale[j];

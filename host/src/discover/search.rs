@@ -63,14 +63,23 @@ pub fn search(campaign: &Campaign, scene: &mut Scene, start: Point, unknowns: &[
     let mut last = baseline.clone();
     let mut named: Vec<Named> = Vec::new();
     while named.len() < MOST_EFFECTS {
-        let known = |candidate: &Candidate| named.iter().any(|known| known.score.instance.effect.name() == candidate.effect.name() && known.score.instance.site == candidate.site);
+        let known = |candidate: &Candidate| {
+            named.iter().any(|known| {
+                known.score.instance.effect.name() == candidate.effect.name()
+                    && known.score.instance.site == candidate.site
+            })
+        };
         let left: Vec<Candidate> = all.iter().filter(|candidate| !known(candidate)).cloned().collect();
         let scores = scores(&last, scene, &left, &trials);
         let Some(best) = scores.first().filter(|best| trials.over_all(best.ln_p) < limit) else { break };
         let mut point = last.point.clone();
         point.effects.push(best.instance.clone());
         let Some(next) = fit(campaign, scene, point, unknowns, None) else { break };
-        named.push(Named { score: best.clone(), ln_p: trials.over_all(best.ln_p), rivals: scores.into_iter().skip(1).take(KEPT).collect() });
+        named.push(Named {
+            score: best.clone(),
+            ln_p: trials.over_all(best.ln_p),
+            rivals: scores.into_iter().skip(1).take(KEPT).collect(),
+        });
         last = next;
     }
     Some(Search { baseline, last, named, trials })

@@ -215,8 +215,7 @@ impl Stage {
                 sigma: visit.sigma,
             });
         }
-        let mut stage =
-            Stage { places, blocks, nuisance: Vec::new(), postures: postures.len(), cycles: cycles.len() };
+        let mut stage = Stage { places, blocks, nuisance: Vec::new(), postures: postures.len(), cycles: cycles.len() };
         stage.nuisance = unknowns
             .iter()
             .filter_map(|&unknown| stage.unknown_column(campaign, scene, point, &adjustments, unknown))
@@ -260,11 +259,12 @@ impl Stage {
     /// A term of an effect as a column.
     pub fn column(&self, scene: &Scene, term: &Term) -> Column {
         let mut column: Column = Vec::new();
-        let mut add = |place: usize, amounts: &mut dyn Iterator<Item = f64>| {
-            match column.iter_mut().find(|(known, _)| *known == place) {
-                Some((_, sum)) => sum.iter_mut().zip(amounts).for_each(|(sum, amount)| *sum += amount),
-                None => column.push((place, amounts.collect())),
-            }
+        let mut add = |place: usize, amounts: &mut dyn Iterator<Item = f64>| match column
+            .iter_mut()
+            .find(|(known, _)| *known == place)
+        {
+            Some((_, sum)) => sum.iter_mut().zip(amounts).for_each(|(sum, amount)| *sum += amount),
+            None => column.push((place, amounts.collect())),
         };
         for act in term {
             let amounts = act.amounts();

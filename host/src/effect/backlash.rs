@@ -11,7 +11,10 @@ impl Effect for Backlash {
     }
 
     fn sites(&self, scene: &Scene) -> Vec<Site> {
-        (0..scene.chain.joint_count()).filter(|&joint| scene.visits.iter().any(|visit| visit.approach[joint] != 0.0)).map(Site::joint).collect()
+        (0..scene.chain.joint_count())
+            .filter(|&joint| scene.visits.iter().any(|visit| visit.approach[joint] != 0.0))
+            .map(Site::joint)
+            .collect()
     }
 
     fn terms(&self, scene: &Scene, site: &Site, _: &[f64]) -> Vec<Term> {

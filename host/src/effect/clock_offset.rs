@@ -8,8 +8,7 @@ use super::{Acts, Effect, Named, Scene, Site, Term};
 pub struct ClockOffset;
 
 /// Offsets that are tried, seconds.
-const OFFSETS_S: [f64; 12] =
-    [-900.0, -480.0, -240.0, -120.0, -60.0, -30.0, 30.0, 60.0, 120.0, 240.0, 480.0, 900.0];
+const OFFSETS_S: [f64; 12] = [-900.0, -480.0, -240.0, -120.0, -60.0, -30.0, 30.0, 60.0, 120.0, 240.0, 480.0, 900.0];
 
 impl Effect for ClockOffset {
     fn name(&self) -> &'static str {

@@ -51,9 +51,8 @@ impl Effect for GearEccentricity {
 
     fn terms(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Vec<Term> {
         let Some(joint) = site.joint else { return Vec::new() };
-        let wave = |of: fn(f64) -> f64| {
-            vec![Acts::Joint(joint, scene.by_visit(|visit| of(shape[0] * visit.joints[joint])))]
-        };
+        let wave =
+            |of: fn(f64) -> f64| vec![Acts::Joint(joint, scene.by_visit(|visit| of(shape[0] * visit.joints[joint])))];
         vec![wave(libm::cos), wave(libm::sin)]
     }
 

@@ -19,9 +19,11 @@ impl Effect for JointCompliance {
     fn sites(&self, scene: &Scene) -> Vec<Site> {
         let varies = |joint: &usize| {
             let torque = |visit: &super::Situation| visit.torques[*joint];
-            let (low, high) = scene.visits.iter().map(torque).fold((f64::MAX, f64::MIN), |(low, high), torque| {
-                (low.min(torque), high.max(torque))
-            });
+            let (low, high) = scene
+                .visits
+                .iter()
+                .map(torque)
+                .fold((f64::MAX, f64::MIN), |(low, high), torque| (low.min(torque), high.max(torque)));
             high - low > LEAST_VARIATION || !scene.moments[*joint].is_empty()
         };
         (0..scene.chain.joint_count()).filter(varies).map(Site::joint).collect()
@@ -31,9 +33,7 @@ impl Effect for JointCompliance {
         let Some(joint) = site.joint else { return Vec::new() };
         match scene.masses_known {
             true => vec![vec![Acts::Joint(joint, scene.by_visit(|visit| visit.torques[joint]))]],
-            false => {
-                scene.moments[joint].iter().map(|amounts| vec![Acts::Joint(joint, amounts.clone())]).collect()
-            }
+            false => scene.moments[joint].iter().map(|amounts| vec![Acts::Joint(joint, amounts.clone())]).collect(),
         }
     }
 

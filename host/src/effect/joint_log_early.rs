@@ -13,7 +13,8 @@ const BEFORE: f64 = 0.0;
 const OTHER_ACCOUNT: f64 = 1.0;
 
 fn differs(scene: &Scene, joint: usize) -> bool {
-    let other = |visit: &super::Situation| visit.other_account.as_ref().is_some_and(|q| q[joint] != visit.joints[joint]);
+    let other =
+        |visit: &super::Situation| visit.other_account.as_ref().is_some_and(|q| q[joint] != visit.joints[joint]);
     scene.visits.iter().any(other)
 }
 

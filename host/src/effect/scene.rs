@@ -254,11 +254,9 @@ impl Scene {
     /// averaged over half a minute on each side: the difference of two readings would be mostly noise.
     pub fn shifted(&self, sensor: usize, offset_s: f64) -> Vec<f64> {
         let series = &self.sensors[sensor].series;
-        self.by_visit(|visit| {
-            match (smooth(series, visit.time_s + offset_s), smooth(series, visit.time_s)) {
-                (Some(then), Some(now)) => then - now,
-                _ => 0.0,
-            }
+        self.by_visit(|visit| match (smooth(series, visit.time_s + offset_s), smooth(series, visit.time_s)) {
+            (Some(then), Some(now)) => then - now,
+            _ => 0.0,
         })
     }
 

@@ -17,7 +17,11 @@ impl Effect for SensorChill {
     }
 
     fn sites(&self, scene: &Scene) -> Vec<Site> {
-        if scene.motion.is_empty() { Vec::new() } else { scene.driving_sensors().into_iter().map(Site::sensor).collect() }
+        if scene.motion.is_empty() {
+            Vec::new()
+        } else {
+            scene.driving_sensors().into_iter().map(Site::sensor).collect()
+        }
     }
 
     fn shapes(&self, _: &Scene, _: &Site) -> Vec<Vec<f64>> {

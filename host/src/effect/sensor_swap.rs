@@ -15,7 +15,8 @@ impl Effect for SensorSwap {
         let mut sites = Vec::new();
         for (place, &one) in sensors.iter().enumerate() {
             // On one link the names say nothing: each sensor has its own coefficient.
-            let others = sensors[place + 1..].iter().filter(|&&other| scene.sensors[other].link != scene.sensors[one].link);
+            let others =
+                sensors[place + 1..].iter().filter(|&&other| scene.sensors[other].link != scene.sensors[one].link);
             sites.extend(others.map(|&other| Site { sensors: vec![one, other], ..Site::default() }));
         }
         sites
