@@ -110,6 +110,9 @@ fn say_finding(finding: &Finding) {
             wrong.error * 1e3
         );
     }
+    if let Some(evidence) = &finding.evidence {
+        println!("  {evidence}");
+    }
     if finding.cost_rms_mm > 0.0 {
         println!("  it moves the targets by {:.3} mm RMS", finding.cost_rms_mm);
     }
@@ -181,6 +184,9 @@ fn as_json(discovery: &Discovery) -> Value {
         });
         if !finding.cycles.is_empty() {
             value["cycles"] = json!(finding.cycles);
+        }
+        if let Some(evidence) = &finding.evidence {
+            value["evidence"] = json!(evidence);
         }
         if !finding.points.is_empty() {
             let point = |wrong: &crate::discover::Outlier| json!({"cycle": wrong.cycle, "pose": wrong.pose, "target": wrong.target, "error_mm": wrong.error * 1e3});

@@ -8,6 +8,7 @@ use super::gain::{Question, folds};
 use super::gross::{Outlier, Swap, plainly_wrong, put_labels_right, without};
 use super::normal::{Rows, Strata, System};
 use super::pattern;
+use super::readings::{ReadingFault, examine};
 use super::search::{Search, is_pattern, search};
 use super::stage::{Point, Stage, errors};
 use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate};
@@ -79,6 +80,8 @@ pub struct Finding {
     pub points: Vec<Outlier>,
     /// As the model has it; none for gross errors.
     pub instance: Option<Instance>,
+    /// What speaks for it, in a sentence, where it was not found in positions.
+    pub evidence: Option<String>,
 }
 
 /// What is significant and has no name.
@@ -150,7 +153,11 @@ const FALSE_REST: f64 = 0.003;
 /// # Errors
 /// What calibration refuses, and runs too small to judge.
 pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<Discovery, DiscoveryError> {
-    let (labelled, swaps) = put_labels_right(robot, run, &request.calibration).map_err(CalibrationError::from)?;
+    let (mut labelled, swaps) = put_labels_right(robot, run, &request.calibration).map_err(CalibrationError::from)?;
+    let examined = examine(robot, &labelled);
+    if let Some(log) = examined.corrected {
+        labelled.temperatures = Some(log);
+    }
     let mut set_aside: Vec<Outlier> = Vec::new();
     let (mut calibration, mut scene);
     let mut rounds = 0;
@@ -174,6 +181,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
     let found =
         search(&campaign, &mut scene, start.clone(), &unknowns, request.seed).ok_or(DiscoveryError::TooSmall)?;
     let mut findings = gross_findings(&swaps, &set_aside, run);
+    findings.extend(examined.faults.into_iter().map(of_readings));
     let all = candidates(&scene);
     let question = Question {
         campaign: &campaign,
@@ -227,6 +235,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
             cycles: Vec::new(),
             points: Vec::new(),
             instance: Some(instance.clone()),
+            evidence: None,
         });
     }
     let unexplained = rest(&campaign, &scene, &found);
@@ -302,8 +311,9 @@ fn outliers(campaign: &Campaign, stage: &Stage) -> Vec<Outlier> {
         .collect()
 }
 
-fn gross_findings(swaps: &[Swap], set_aside: &[Outlier], run: &Run) -> Vec<Finding> {
-    let bare = |effect, place, ln_p| Finding {
+/// A finding with nothing but its name.
+fn bare(effect: &'static str, place: SiteNames, ln_p: f64) -> Finding {
+    Finding {
         effect,
         place,
         ln_p,
@@ -314,7 +324,35 @@ fn gross_findings(swaps: &[Swap], set_aside: &[Outlier], run: &Run) -> Vec<Findi
         cycles: Vec::new(),
         points: Vec::new(),
         instance: None,
+        evidence: None,
+    }
+}
+
+/// Where a fault of readings sits.
+fn sensors_named(mut sensors: Vec<String>) -> SiteNames {
+    match sensors.len() {
+        1 => SiteNames { sensor: sensors.pop(), ..SiteNames::default() },
+        _ => SiteNames { sensors, ..SiteNames::default() },
+    }
+}
+
+fn of_readings(fault: ReadingFault) -> Finding {
+    let mut finding = bare(fault.effect, sensors_named(fault.sensors), fault.ln_p);
+    let own = |estimate: super::readings::Estimate| Estimate {
+        name: estimate.name.to_string(),
+        value: estimate.value,
+        low: estimate.low,
+        high: estimate.high,
     };
+    finding.parameters = fault.parameters.into_iter().map(own).collect();
+    let other = |(effect, sensors, log_evidence)| Alternative { effect, place: sensors_named(sensors), log_evidence };
+    finding.alternatives =
+        fault.alternatives.into_iter().map(other).filter(|other| other.log_evidence > -CLOSE).collect();
+    finding.evidence = Some(fault.evidence);
+    finding
+}
+
+fn gross_findings(swaps: &[Swap], set_aside: &[Outlier], run: &Run) -> Vec<Finding> {
     let exact = |name: &str, value: f64| Estimate { name: name.to_owned(), value, low: value, high: value };
     let mut findings: Vec<Finding> = swaps
         .iter()

@@ -11,6 +11,7 @@ mod gross;
 mod noise;
 pub mod normal;
 mod pattern;
+pub mod readings;
 pub mod search;
 pub mod stage;
 

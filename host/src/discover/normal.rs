@@ -331,7 +331,7 @@ impl<'a> Normal<'a> {
             let transposed = left.transpose();
             if draws > 0 {
                 let noise = noise(left.nrows());
-                let with = &transposed.rows(0, own + joints) * &noise;
+                let with = transposed.rows(0, own + joints) * &noise;
                 let mut part = drawn_right.rows_mut(0, own);
                 part += with.rows(0, own);
                 for place in system.layout.shared(block) {
