@@ -5,12 +5,12 @@ pub mod candidates;
 mod chance;
 mod discovery;
 mod estimate;
+mod extension;
 pub mod fit;
 pub mod gain;
 mod gross;
 mod noise;
 pub mod normal;
-mod pattern;
 pub mod search;
 pub mod stage;
 

@@ -3,7 +3,7 @@
 //! Where robot.toml gives no masses, the torque is linear in the unknown first moments of what the joint carries: the
 //! coefficients are then compliance times moment, as many as the visits tell apart.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct JointCompliance;
@@ -19,9 +19,11 @@ impl Effect for JointCompliance {
     fn sites(&self, scene: &Scene) -> Vec<Site> {
         let varies = |joint: &usize| {
             let torque = |visit: &super::Situation| visit.torques[*joint];
-            let (low, high) = scene.visits.iter().map(torque).fold((f64::MAX, f64::MIN), |(low, high), torque| {
-                (low.min(torque), high.max(torque))
-            });
+            let (low, high) = scene
+                .visits
+                .iter()
+                .map(torque)
+                .fold((f64::MAX, f64::MIN), |(low, high), torque| (low.min(torque), high.max(torque)));
             high - low > LEAST_VARIATION || !scene.moments[*joint].is_empty()
         };
         (0..scene.chain.joint_count()).filter(varies).map(Site::joint).collect()
@@ -31,9 +33,7 @@ impl Effect for JointCompliance {
         let Some(joint) = site.joint else { return Vec::new() };
         match scene.masses_known {
             true => vec![vec![Acts::Joint(joint, scene.by_visit(|visit| visit.torques[joint]))]],
-            false => {
-                scene.moments[joint].iter().map(|amounts| vec![Acts::Joint(joint, amounts.clone())]).collect()
-            }
+            false => scene.moments[joint].iter().map(|amounts| vec![Acts::Joint(joint, amounts.clone())]).collect(),
         }
     }
 
@@ -45,5 +45,15 @@ impl Effect for JointCompliance {
                 .map(|(number, value)| Named::new(format!("compliance_times_moment_{number}_rad"), *value))
                 .collect(),
         }
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint().shape(0..=usize::MAX).coefficients(1..=usize::MAX)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let number = |number| format!("compliance_times_moment_{number}_rad");
+        let coefficients = given.numbered("compliance_rad_per_nm", number)?;
+        Ok(Values::new([], coefficients))
     }
 }

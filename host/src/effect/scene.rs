@@ -76,6 +76,8 @@ pub struct Scene {
     pub sensors: Vec<Sensed>,
     /// What reads the air of the cell.
     pub air: Option<TemperatureSeries>,
+    /// From where the air's temperature counts, °C; none: its mean over the visits of the first cycle.
+    pub air_reference_c: Option<f64>,
     /// The thermal model as it stands.
     pub growth: Vec<Growing>,
     /// The schedule.
@@ -165,6 +167,7 @@ impl Scene {
             visits,
             sensors,
             air: run.description.ambient.as_deref().and_then(series),
+            air_reference_c: None,
             growth: Vec::new(),
             motion: run.motion.clone(),
             targets,
@@ -267,19 +270,22 @@ impl Scene {
     /// averaged over half a minute on each side: the difference of two readings would be mostly noise.
     pub fn shifted(&self, sensor: usize, offset_s: f64) -> Vec<f64> {
         let series = &self.sensors[sensor].series;
-        self.by_visit(|visit| {
-            match (smooth(series, visit.time_s + offset_s), smooth(series, visit.time_s)) {
-                (Some(then), Some(now)) => then - now,
-                _ => 0.0,
-            }
+        self.by_visit(|visit| match (smooth(series, visit.time_s + offset_s), smooth(series, visit.time_s)) {
+            (Some(then), Some(now)) => then - now,
+            _ => 0.0,
         })
     }
 
-    /// What the air read at every visit, less its mean over the visits of the first cycle; none without an air sensor.
-    pub fn air_rises(&self) -> Option<Vec<f64>> {
+    /// What the air read at every visit.
+    fn air_c(&self) -> Option<Vec<Option<f64>>> {
         let air = self.air.as_ref()?;
+        Some(self.visits.iter().map(|visit| smooth(air, visit.time_s)).collect())
+    }
+
+    /// The mean of what the air read at the visits of the first cycle, °C; none without an air sensor.
+    pub fn air_at_first(&self) -> Option<f64> {
+        let values = self.air_c()?;
         let first = self.cycles().first().copied();
-        let values: Vec<Option<f64>> = self.visits.iter().map(|visit| smooth(air, visit.time_s)).collect();
         let cold: Vec<f64> = self
             .visits
             .iter()
@@ -287,7 +293,13 @@ impl Scene {
             .filter(|(visit, _)| Some(visit.cycle) == first)
             .filter_map(|(_, value)| *value)
             .collect();
-        let zero = cold.iter().sum::<f64>() / cold.len().max(1) as f64;
+        Some(cold.iter().sum::<f64>() / cold.len().max(1) as f64)
+    }
+
+    /// What the air read at every visit, less its reference; none without an air sensor.
+    pub fn air_rises(&self) -> Option<Vec<f64>> {
+        let values = self.air_c()?;
+        let zero = self.air_reference_c.or_else(|| self.air_at_first())?;
         Some(values.into_iter().map(|value| value.map_or(0.0, |value| value - zero)).collect())
     }
 

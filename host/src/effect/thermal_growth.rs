@@ -2,7 +2,7 @@
 //!
 //! `Δk = Σ coefficient · rise` over the sensors of one link: one coefficient for their mean, or one each.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ThermalGrowth;
@@ -63,5 +63,23 @@ impl Effect for ThermalGrowth {
         };
         named.push(Named::new("link", shape[0]));
         named
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().parameter().shape(2..=2).coefficients(1..=usize::MAX)
+    }
+
+    fn values(&self, scene: &Scene, site: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let coefficients = given.numbered("coefficient", |number| format!("coefficient_{number}"))?;
+        // Without a word about it, the link that the parameter belongs to.
+        let own = site.parameter.map_or(0, |place| scene.chain.parameters()[place].transform);
+        let link = given.optional("link")?.unwrap_or(own as f64);
+        given.require("link", link, !sensors(scene, &[link]).is_empty(), "a link with sensors")?;
+        let kind = if coefficients.len() == 1 { SHARED } else { EACH };
+        Ok(Values::new([link, kind], coefficients))
+    }
+
+    fn lacks(&self, scene: &Scene, _: &Site, shape: &[f64]) -> Option<&'static str> {
+        sensors(scene, shape).is_empty().then_some("the sensors that it follows")
     }
 }
