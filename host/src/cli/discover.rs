@@ -70,7 +70,12 @@ fn chance(ln_p: f64) -> f64 {
 }
 
 fn say_finding(finding: &Finding) {
-    println!("\n{} {} (chance in noise {:.1e})", finding.effect.replace('_', " "), finding.place, chance(finding.ln_p));
+    println!(
+        "\n{} {} (chance in noise {:.1e})",
+        finding.effect.replace('_', " "),
+        finding.place,
+        chance(finding.ln_p)
+    );
     for estimate in &finding.parameters {
         println!("  {:<28} {:+.4e}  [{:+.4e}, {:+.4e}]", estimate.name, estimate.value, estimate.low, estimate.high);
     }
@@ -79,7 +84,13 @@ fn say_finding(finding: &Finding) {
         println!("  in cycles {}; the labels are put right here", cycles.join(", "));
     }
     for wrong in finding.points.iter().take(10) {
-        println!("  cycle {}, pose {}, {}: {:.3} mm off, set aside", wrong.cycle, wrong.pose, wrong.target, wrong.error * 1e3);
+        println!(
+            "  cycle {}, pose {}, {}: {:.3} mm off, set aside",
+            wrong.cycle,
+            wrong.pose,
+            wrong.target,
+            wrong.error * 1e3
+        );
     }
     if finding.cost_rms_mm > 0.0 {
         println!("  it moves the targets by {:.3} mm RMS", finding.cost_rms_mm);
@@ -108,9 +119,9 @@ fn say(discovery: &Discovery) {
         println!("{}   {held_out:>12}", words::errors(name, &level.fitted));
     }
     println!(
-        "\nnoise: {:.1} µm of a point, {:.1} µrad of each joint a visit; it makes {:.4} mm RMS",
+        "\nnoise: {:.1} µm of a point; the joints repeat to {} µrad; together they make {:.4} mm RMS",
         discovery.noise_um,
-        discovery.noise.visit * 1e6,
+        discovery.noise.visit.iter().map(|sigma| format!("{:.1}", sigma * 1e6)).collect::<Vec<_>>().join(", "),
         discovery.floor_rms_mm
     );
     if discovery.findings.is_empty() && !discovery.unexplained.significant {
@@ -154,9 +165,7 @@ fn as_json(discovery: &Discovery) -> Value {
             value["cycles"] = json!(finding.cycles);
         }
         if !finding.points.is_empty() {
-            let point = |wrong: &crate::discover::Outlier| {
-                json!({"cycle": wrong.cycle, "pose": wrong.pose, "target": wrong.target, "error_mm": wrong.error * 1e3})
-            };
+            let point = |wrong: &crate::discover::Outlier| json!({"cycle": wrong.cycle, "pose": wrong.pose, "target": wrong.target, "error_mm": wrong.error * 1e3});
             value["points"] = json!(finding.points.iter().map(point).collect::<Vec<_>>());
         }
         value
@@ -165,7 +174,7 @@ fn as_json(discovery: &Discovery) -> Value {
         "format": 1, "command": "discover",
         "noise_um": discovery.noise_um,
         "noise": {
-            "point_um": discovery.noise_um, "visit_urad": discovery.noise.visit * 1e6,
+            "point_um": discovery.noise_um, "visit_urad": discovery.noise.visit.iter().map(|sigma| sigma * 1e6).collect::<Vec<_>>(),
             "posture_urad": discovery.noise.posture * 1e6, "cycle_urad": discovery.noise.cycle * 1e6,
             "floor_rms_mm": discovery.floor_rms_mm,
         },

@@ -133,10 +133,11 @@ impl Rivals {
         pairs.push((0.0, 0.0));
         pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
         pairs.dedup();
-        let factors: Vec<Factor> = pairs.into_iter().filter_map(|(p, c)| normal.factor(p, c)).collect();
+        let factors: Vec<Factor> = pairs.into_iter().filter_map(|(p, c)| normal.system.factor(p, c)).collect();
         let nothing = factors.iter().map(|factor| factor.log_likelihood).fold(f64::NEG_INFINITY, f64::max);
-        let layout = normal.layout;
-        let between = (layout.joints * layout.postures) as f64 - layout.nuisance.min(layout.joints * layout.postures / 2) as f64;
+        let layout = normal.system.layout;
+        let between =
+            (layout.joints * layout.postures) as f64 - layout.nuisance.min(layout.joints * layout.postures / 2) as f64;
         Rivals { factors, nothing, between }
     }
 }
@@ -214,7 +215,12 @@ fn score_of(candidate: &Candidate, tried: Tried, trials: &Trials) -> Score {
 }
 
 /// The gains of a step at every time between two visits near one: times, the visits' times about each, twice the gain.
-pub fn step_profile(normal: &Normal<'_>, rivals: &Rivals, scene: &Scene, instance: &Instance) -> Vec<(f64, f64, f64, Option<Score>)> {
+pub fn step_profile(
+    normal: &Normal<'_>,
+    rivals: &Rivals,
+    scene: &Scene,
+    instance: &Instance,
+) -> Vec<(f64, f64, f64, Option<Score>)> {
     const NEAR: usize = 12;
     let candidate = Candidate { effect: instance.effect, site: instance.site.clone() };
     let Some((time_place, &time)) = instance.shape.iter().enumerate().next_back() else { return Vec::new() };
@@ -321,9 +327,9 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
     let draws = (LARGEST / (stage.blocks.len() * stage.places.count())).clamp(40, DRAWS);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let white = Whitened::new(stage, strata);
-    let normal = Normal::new(&white, draws, |_, rows| white_noise(&mut random, rows, draws));
-    let Some(factor) = normal.factor(strata.posture, strata.cycle) else { return Trials::default() };
-    let layout = normal.layout;
+    let normal = Normal::with_draws(&white, strata, draws, |rows| white_noise(&mut random, rows, draws));
+    let Some(factor) = normal.system.factor(strata.posture, strata.cycle) else { return Trials::default() };
+    let layout = normal.system.layout;
     let mut shared = DMatrix::zeros(layout.count(), draws);
     let of_postures = layout.joints * layout.postures;
     let own = white_noise(&mut random, of_postures, draws) * strata.posture;

@@ -6,11 +6,11 @@ use super::estimate::{Estimate, estimates};
 use super::fit::{Fit, positional, update_growth};
 use super::gain::{Question, folds};
 use super::gross::{Outlier, Swap, plainly_wrong, put_labels_right, without};
-use super::normal::{Normal, Strata, Whitened};
+use super::normal::{Rows, Strata, System};
 use super::search::{Search, is_pattern, search};
 use super::stage::{Point, Stage, errors};
 use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate};
-use crate::effect::{Instance, pattern, Scene, Seen, SiteNames};
+use crate::effect::{Instance, Scene, Seen, SiteNames};
 use crate::model::{ErrorTally, Errors};
 use crate::robot::Robot;
 use crate::run::Run;
@@ -170,7 +170,8 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
     let campaign = calibration.campaign.clone();
     let unknowns = positional(&calibration.joint.unknowns);
     let start = Point { state: calibration.state.clone(), effects: Vec::new() };
-    let found = search(&campaign, &mut scene, start.clone(), &unknowns, request.seed).ok_or(DiscoveryError::TooSmall)?;
+    let found =
+        search(&campaign, &mut scene, start.clone(), &unknowns, request.seed).ok_or(DiscoveryError::TooSmall)?;
     let mut findings = gross_findings(&swaps, &set_aside, run);
     let all = candidates(&scene);
     let question = Question {
@@ -180,6 +181,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
         start: &start,
         candidates: &all,
         trials: &found.trials,
+        noise: Some(found.last.strata.clone()),
     };
     let folds = if request.hold_out { folds(&campaign) } else { Vec::new() };
     let mut held_out_before = None;
@@ -235,7 +237,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
     let baseline = level_of_baseline(&campaign, &scene, &found.baseline.point, held_out_before);
     let extended = level(&found.last.point, held_out_after);
     let sigma = campaign.visits.iter().map(|visit| visit.sigma).sum::<f64>() / campaign.visits.len() as f64;
-    let noise = found.last.strata;
+    let noise = found.last.strata.clone();
     let floor_rms_mm = floor(&found.last.stage, &noise) * 1e3;
     let notes = calibration.notes.clone();
     Ok(Discovery {
@@ -364,10 +366,11 @@ fn cost(campaign: &Campaign, scene: &Scene, fitted: &Fit, place: usize) -> f64 {
 fn floor(stage: &Stage, noise: &Strata) -> f64 {
     let (mut sum, mut points) = (0.0, 0.0);
     for block in &stage.blocks {
-        let variance: f64 =
-            block.spectrum.iter().map(|reach| noise.point.powi(2) + noise.visit.powi(2) * reach).sum();
-        sum += variance * block.sigma * block.sigma;
-        points += block.spectrum.len() as f64 / 3.0;
+        let joints = block.places.column_iter().zip(&noise.visit);
+        let moved: f64 = joints.map(|(column, sigma)| column.norm_squared() * sigma * sigma).sum();
+        let rows = block.residual.len() as f64;
+        sum += (rows * noise.point.powi(2) + moved) * block.sigma * block.sigma;
+        points += rows / 3.0;
     }
     (sum / points).sqrt()
 }
@@ -385,12 +388,10 @@ fn rest(campaign: &Campaign, scene: &Scene, found: &Search) -> Unexplained {
             squares += cost(campaign, scene, &found.last, place).powi(2);
         }
     }
-    let white = Whitened::new(&found.last.stage, &found.last.strata);
-    let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
-    let Strata { posture, cycle, .. } = found.last.strata;
-    let likelihood = |posture: f64, cycle: f64| normal.factor(posture, cycle).map(|factor| factor.log_likelihood);
-    let mut shared = |with: f64, without: Option<f64>, words: &str| {
-        let (Some(all), Some(without)) = (likelihood(posture, cycle), without) else { return };
+    let Strata { posture, cycle, .. } = found.last.strata.clone();
+    let system = System::new(&found.last.stage, &Rows::new(&found.last.stage), &found.last.strata);
+    let all = system.log_likelihood(posture, cycle);
+    let mut shared = |with: f64, without: f64, words: &str| {
         if with > 0.0 {
             // On the edge of what a variance can be, half of the chance is at zero.
             let own = 0.5_f64.ln() + ln_chi_square(2.0 * (all - without), 1);
@@ -400,7 +401,7 @@ fn rest(campaign: &Campaign, scene: &Scene, found: &Search) -> Unexplained {
             }
         }
     };
-    shared(posture, likelihood(0.0, cycle), "posture");
-    shared(cycle, likelihood(posture, 0.0), "cycle");
+    shared(posture, system.log_likelihood(0.0, cycle), "posture");
+    shared(cycle, system.log_likelihood(posture, 0.0), "cycle");
     Unexplained { significant: ln_p < FALSE_REST.ln(), ln_p, follows, rms_mm: squares.sqrt() }
 }

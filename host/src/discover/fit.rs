@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::noise::strata;
-use super::normal::{Normal, Strata, Whitened};
+use super::normal::{Rows, Strata, System};
 use super::stage::{Column, Point, Stage};
 use crate::calibrate::{Campaign, Unknown};
 use crate::effect::{Instance, Scene};
@@ -50,9 +50,8 @@ const ARRIVED: f64 = 1e-4;
 
 /// The unknowns that can be fitted here: orientations and distances are not looked at.
 pub fn positional(unknowns: &[Unknown]) -> Vec<Unknown> {
-    let seen = |unknown: &&Unknown| {
-        matches!(unknown, Unknown::Parameter(_) | Unknown::Target { .. } | Unknown::Growth(_))
-    };
+    let seen =
+        |unknown: &&Unknown| matches!(unknown, Unknown::Parameter(_) | Unknown::Target { .. } | Unknown::Growth(_));
     unknowns.iter().filter(seen).copied().collect()
 }
 
@@ -95,12 +94,7 @@ fn by_shape(stage: &Stage, scene: &Scene, effect: &Instance, place: usize) -> Co
     column
 }
 
-fn linearise(
-    campaign: &Campaign,
-    scene: &Scene,
-    point: &Point,
-    unknowns: &[Unknown],
-) -> (Stage, Vec<Owner>) {
+fn linearise(campaign: &Campaign, scene: &Scene, point: &Point, unknowns: &[Unknown]) -> (Stage, Vec<Owner>) {
     let mut stage = Stage::new(campaign, scene, point, unknowns);
     let mut owners: Vec<Owner> = (0..unknowns.len()).map(Owner::Unknown).collect();
     for (rank, effect) in point.effects.iter().enumerate() {
@@ -140,21 +134,22 @@ pub fn fit(
     update_growth(scene, campaign, &point);
     let (mut stage, mut owners) = linearise(campaign, scene, &point, unknowns);
     let mut noise = noise.unwrap_or_else(|| strata(&stage));
+    let settled = if point.effects.is_empty() { 0 } else { 1 };
     for round in 0..ROUNDS {
-        let white = Whitened::new(&stage, &noise);
-        let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
-        let factor = normal.factor(noise.posture, noise.cycle)?;
+        let system = System::new(&stage, &Rows::new(&stage), &noise);
+        let factor = system.factor(noise.posture, noise.cycle)?;
         let (step, covariance) = factor.solution(owners.len());
-        let length = step.dot(&normal.right.rows(0, owners.len()));
+        let length = step.dot(&system.right.rows(0, owners.len()));
         if length.abs() < ARRIVED || round + 1 == ROUNDS {
-            let covariances = (0..point.effects.len()).map(|effect| own_covariance(effect, &owners, &covariance)).collect();
+            let covariances =
+                (0..point.effects.len()).map(|effect| own_covariance(effect, &owners, &covariance)).collect();
             let log_likelihood = factor.log_likelihood;
             return Some(Fit { point, stage, strata: noise, log_likelihood, covariances });
         }
         apply(&mut point, unknowns, &owners, step.as_slice());
         update_growth(scene, campaign, &point);
         (stage, owners) = linearise(campaign, scene, &point, unknowns);
-        if round == 1 {
+        if round == settled {
             noise = strata(&stage);
         }
     }

@@ -3,6 +3,7 @@
 
 use super::candidates::{Candidate, Trials};
 use super::fit::{Fit, fit};
+use super::normal::Strata;
 use super::search::climb;
 use super::stage::{Point, errors};
 use crate::calibrate::{Campaign, Unknown};
@@ -59,16 +60,21 @@ pub struct Question<'a> {
     pub candidates: &'a [Candidate],
     /// How many tests the search amounts to.
     pub trials: &'a Trials,
+    /// A start near the strata of noise.
+    pub noise: Option<Strata>,
 }
 
 impl Question<'_> {
-    /// Fits on all visits but those held out, and sums up the errors on those.
-    fn on_fold(&self, fold: &Fold, make: impl Fn(&Campaign, &mut Scene) -> Option<Fit>) -> Option<ErrorTally> {
-        let rest: Vec<usize> = (0..self.campaign.visits.len()).filter(|place| fold.binary_search(place).is_err()).collect();
-        let mut visits = rest.iter().map(|&place| self.campaign.visits[place].clone());
-        let campaign = Campaign { visits: visits.by_ref().collect(), ..self.campaign.select(|_| false) };
-        let mut scene = self.scene.select(&rest);
-        let fitted = make(&campaign, &mut scene)?;
+    /// All visits but those held out, with their scene.
+    fn without(&self, fold: &Fold) -> (Campaign, Scene) {
+        let rest: Vec<usize> =
+            (0..self.campaign.visits.len()).filter(|place| fold.binary_search(place).is_err()).collect();
+        let visits = rest.iter().map(|&place| self.campaign.visits[place].clone()).collect();
+        (Campaign { visits, ..self.campaign.select(|_| false) }, self.scene.select(&rest))
+    }
+
+    /// The errors of a fit on the visits held out.
+    fn errors(&self, fold: &Fold, fitted: &Fit) -> ErrorTally {
         let mut whole = self.scene.clone();
         super::fit::update_growth(&mut whole, self.campaign, &fitted.point);
         let mut tally = ErrorTally::default();
@@ -77,14 +83,16 @@ impl Question<'_> {
                 tally.add(error.norm());
             }
         });
-        Some(tally)
+        tally
     }
 
     /// Errors with given effects in the model, values fitted anew in every fold. None where a fold cannot be fitted.
     pub fn with(&self, point: &Point, folds: &[Fold]) -> Option<ErrorTally> {
         let mut sum = ErrorTally::default();
         for tally in in_two(folds, |fold| {
-            self.on_fold(fold, |campaign, scene| fit(campaign, scene, point.clone(), self.unknowns, None))
+            let (campaign, mut scene) = self.without(fold);
+            let fitted = fit(&campaign, &mut scene, point.clone(), self.unknowns, self.noise.clone())?;
+            Some(self.errors(fold, &fitted))
         }) {
             sum.merge(&tally?);
         }
@@ -96,13 +104,11 @@ impl Question<'_> {
         let mut sum = HeldOut::default();
         let bare = Point { effects: Vec::new(), ..self.start.clone() };
         for tally in in_two(folds, |fold| {
-            let baseline = |campaign: &Campaign, scene: &mut Scene| fit(campaign, scene, bare.clone(), self.unknowns, None);
-            let before = self.on_fold(fold, baseline)?;
-            let after = self.on_fold(fold, |campaign, scene| {
-                let from = baseline(campaign, scene)?;
-                Some(climb(campaign, scene, from, self.unknowns, self.candidates, self.trials))
-            })?;
-            Some((before, after))
+            let (campaign, mut scene) = self.without(fold);
+            let baseline = fit(&campaign, &mut scene, bare.clone(), self.unknowns, self.noise.clone())?;
+            let before = self.errors(fold, &baseline);
+            let extended = climb(&campaign, &mut scene, baseline, self.unknowns, self.candidates, self.trials);
+            Some((before, self.errors(fold, &extended)))
         }) {
             let (before, after) = tally?;
             sum.before.merge(&before);

@@ -3,7 +3,7 @@
 //! Labels are put right before anything is calibrated, since a few of them spoil every fit. Points that no motion of the
 //! joints and no noise explains are set aside, not deleted: what an effect that is found later explains comes back.
 
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DMatrix, Matrix3};
 
 use super::noise::robust;
 use super::normal::Strata;
@@ -185,16 +185,14 @@ pub fn plainly_wrong(campaign: &Campaign, stage: &Stage) -> Vec<(usize, usize, f
 fn statistics(stage: &Stage, visit: usize, active: &[usize], noise: &Strata) -> Vec<(usize, f64, f64)> {
     let block = &stage.blocks[visit];
     let rows: Vec<usize> = active.iter().flat_map(|position| 3 * position..3 * position + 3).collect();
-    let axes = block.axes.select_rows(&rows);
-    let variances = DVector::from_iterator(
-        block.spectrum.len(),
-        block.spectrum.iter().map(|reach| noise.point.powi(2) + noise.visit.powi(2) * reach),
-    );
-    let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
-        (0..variances.len()).map(|k| axes[(i, k)] * variances[k] * axes[(j, k)]).sum::<f64>()
-    });
+    let mut spread = block.places.select_rows(&rows).columns(0, noise.visit.len()).into_owned();
+    for (mut column, sigma) in spread.column_iter_mut().zip(&noise.visit) {
+        column.scale_mut(*sigma);
+    }
+    let covariance =
+        &spread * spread.transpose() + DMatrix::from_diagonal_element(rows.len(), rows.len(), noise.point.powi(2));
     let Some(inverse) = covariance.cholesky().map(|factor| factor.inverse()) else { return Vec::new() };
-    let weighed = &inverse * (&axes * &block.residual);
+    let weighed = &inverse * block.residual.select_rows(&rows);
     active
         .iter()
         .enumerate()

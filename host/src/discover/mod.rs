@@ -14,6 +14,8 @@ pub mod normal;
 pub mod search;
 pub mod stage;
 
-pub use discovery::{Alternative, Discovery, DiscoveryError, DiscoveryRequest, Finding, Gain, Level, Unexplained, discover};
+pub use discovery::{
+    Alternative, Discovery, DiscoveryError, DiscoveryRequest, Finding, Gain, Level, Unexplained, discover,
+};
 pub use estimate::Estimate;
 pub use gross::{Outlier, Swap};

@@ -3,7 +3,7 @@
 //! The noise of a point follows from the part of each visit that no motion of the joints can make; that of a visit from what
 //! differs between visits of one posture; the shared errors of postures and cycles from what is left.
 
-use super::normal::{Normal, Strata, Whitened};
+use super::normal::{Rows, Strata, System};
 use super::stage::Stage;
 
 /// The instrument's word is taken where fewer numbers than this would tell the noise of a point.
@@ -30,7 +30,7 @@ fn point(stage: &Stage) -> Option<f64> {
     for block in &stage.blocks {
         let largest = block.spectrum.iter().copied().fold(0.0, f64::max);
         let beyond = block.spectrum.iter().enumerate().filter(|(_, reach)| **reach < 1e-9 * largest);
-        squares.extend(beyond.map(|(row, _)| block.residual[row].powi(2)));
+        squares.extend(beyond.map(|(axis, _)| block.axes.column(axis).dot(&block.residual).powi(2)));
     }
     // Unknown targets are fitted to these rows as well; parameters of the arm move targets together and are not.
     let fitted = (3 * stage.places.targets()) as f64;
@@ -47,7 +47,10 @@ pub fn robust(stage: &Stage) -> Strata {
         let of_block = stage.blocks.iter().flat_map(|block| {
             let largest = block.spectrum.iter().copied().fold(0.0, f64::max);
             let within = block.spectrum.iter().enumerate().filter(move |(_, reach)| **reach > 1e-4 * largest);
-            within.map(move |(row, reach)| block.residual[row].powi(2) / (point * point + visit * visit * reach))
+            within.map(move |(axis, reach)| {
+                let along = block.axes.column(axis).dot(&block.residual);
+                along.powi(2) / (point * point + visit * visit * reach)
+            })
         });
         median(of_block.collect()).unwrap_or(0.0)
     };
@@ -56,7 +59,7 @@ pub fn robust(stage: &Stage) -> Strata {
         let middle = 0.5 * (low + high);
         if typical(middle.exp()) > MEDIAN_SQUARE { low = middle } else { high = middle }
     }
-    Strata { point, visit: low.exp(), posture: 0.0, cycle: 0.0 }
+    Strata { point, visit: vec![low.exp(); stage.places.joints()], posture: 0.0, cycle: 0.0 }
 }
 
 /// The largest value of a function of one logarithm between bounds, by golden section.
@@ -86,40 +89,58 @@ const MOST: f64 = 1e-2;
 /// So large a shared error takes all freedom that it can.
 const FREE: f64 = 1.0;
 
+/// Rounds in which the joints' noises find their sizes, and the change of a logarithm at which they have.
+const JOINT_ROUNDS: usize = 8;
+const SETTLED: f64 = 0.02;
+
 /// The strata of a stage.
 pub fn strata(stage: &Stage) -> Strata {
-    let mut strata = Strata { point: point(stage).unwrap_or(1.0), visit: 0.0, posture: 0.0, cycle: 0.0 };
+    let joints = stage.places.joints();
+    let mut strata =
+        Strata { point: point(stage).unwrap_or(1.0), visit: vec![LEAST; joints], posture: 0.0, cycle: 0.0 };
+    let rows = Rows::new(stage);
     // Between the visits of a posture alone, so that what is fixed by the posture does not count.
     let free = if stage.repeats() { FREE } else { 0.0 };
-    let (visit, _) = golden(LEAST.ln(), MOST.ln(), 16, |log| {
-        let white = Whitened::new(stage, &Strata { visit: log.exp(), ..strata });
-        Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"))
-            .factor(free, 0.0)
-            .map_or(f64::NEG_INFINITY, |factor| factor.log_likelihood)
+    let (visit, _) = golden(LEAST.ln(), MOST.ln(), 9, |log| {
+        let visit = vec![log.exp(); joints];
+        System::new(stage, &rows, &Strata { visit, ..strata.clone() }).log_likelihood(free, 0.0)
     });
-    strata.visit = visit.exp();
-    let white = Whitened::new(stage, &strata);
-    let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
-    let (posture, cycle) = shared(&normal);
+    strata.visit = vec![visit.exp(); joints];
+    // From the common size each joint's own: where residuals say more of a joint's errors than noise of its size would,
+    // the size grows in proportion.
+    for _ in 0..JOINT_ROUNDS {
+        let system = System::new(stage, &rows, &strata);
+        let Some(factor) = system.factor(free, 0.0) else { break };
+        let scores = factor.joint_scores(stage, &rows, &system.layout, &strata);
+        let mut change = 0.0_f64;
+        for (sigma, (found, expected)) in strata.visit.iter_mut().zip(scores) {
+            if expected > 0.0 {
+                let next = (*sigma * (found / expected).sqrt()).clamp(LEAST, MOST);
+                change = change.max((next / *sigma).ln().abs());
+                *sigma = next;
+            }
+        }
+        if change < SETTLED {
+            break;
+        }
+    }
+    let (posture, cycle) = shared(&System::new(stage, &rows, &strata));
     Strata { posture, cycle, ..strata }
 }
 
 /// The shared errors of postures and cycles of given normal equations.
-pub fn shared(normal: &Normal<'_>) -> (f64, f64) {
-    let likelihood = |posture: f64, cycle: f64| {
-        normal.factor(posture, cycle).map_or(f64::NEG_INFINITY, |factor| factor.log_likelihood)
+fn shared(system: &System) -> (f64, f64) {
+    let size = |of: &dyn Fn(f64) -> f64| {
+        let (log, value) = golden(LEAST.ln(), MOST.ln(), 10, |log| of(log.exp()));
+        if value > of(0.0) + WORTH { log.exp() } else { 0.0 }
     };
     let (mut posture, mut cycle) = (0.0, 0.0);
     for _ in 0..2 {
-        if normal.layout.postures > 0 {
-            let (log, value) = golden(LEAST.ln(), MOST.ln(), 12, |log| likelihood(log.exp(), cycle));
-            let without = likelihood(0.0, cycle);
-            posture = if value > without + WORTH { log.exp() } else { 0.0 };
+        if system.layout.postures > 0 {
+            posture = size(&|sigma| system.log_likelihood(sigma, cycle));
         }
-        if normal.layout.cycles > 0 {
-            let (log, value) = golden(LEAST.ln(), MOST.ln(), 12, |log| likelihood(posture, log.exp()));
-            let without = likelihood(posture, 0.0);
-            cycle = if value > without + WORTH { log.exp() } else { 0.0 };
+        if system.layout.cycles > 0 {
+            cycle = size(&|sigma| system.log_likelihood(posture, sigma));
         }
         if posture == 0.0 || cycle == 0.0 {
             break;

@@ -9,12 +9,12 @@ use nalgebra::{DMatrix, DVector};
 use super::stage::{Column, Stage};
 
 /// Standard deviations of the strata.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Strata {
     /// Of one coordinate of one point, in units of the instrument's.
     pub point: f64,
-    /// Of each joint at each visit, radians.
-    pub visit: f64,
+    /// Of each joint from visit to visit, radians.
+    pub visit: Vec<f64>,
     /// Of each joint at each posture, shared by its visits, radians.
     pub posture: f64,
     /// Of each joint in each cycle, shared by its visits, radians.
@@ -36,30 +36,67 @@ pub struct Whitened<'a> {
     pub stage: &'a Stage,
     /// The visits.
     pub blocks: Vec<WhiteBlock>,
-    /// Logarithm of the determinant of the visits' covariance.
-    log_determinant: f64,
+}
+
+/// The rows `[nuisance | joints | residual]` of every visit of a stage, before whitening: the same whatever the noise.
+pub struct Rows(Vec<DMatrix<f64>>);
+
+impl Rows {
+    /// The rows of a stage.
+    pub fn new(stage: &Stage) -> Self {
+        let (own, joints) = (stage.nuisance.len(), stage.places.joints());
+        let of_visit = |(visit, block): (usize, &super::stage::Block)| {
+            let mut left = DMatrix::zeros(block.residual.len(), own + joints + 1);
+            for (rank, column) in stage.nuisance.iter().enumerate() {
+                for (place, amounts) in column {
+                    left.column_mut(rank).axpy(amounts[visit], &block.places.column(*place), 1.0);
+                }
+            }
+            left.columns_mut(own, joints).copy_from(&block.places.columns(0, joints));
+            left.set_column(own + joints, &block.residual);
+            left
+        };
+        Self(stage.blocks.iter().enumerate().map(of_visit).collect())
+    }
+}
+
+impl super::stage::Block {
+    /// The lower factor of the covariance of a visit's rows under the noise of points and visits, and the logarithm of its
+    /// determinant.
+    fn noise_factor(&self, strata: &Strata) -> (DMatrix<f64>, f64) {
+        let mut spread = self.places.columns(0, strata.visit.len()).into_owned();
+        for (mut column, sigma) in spread.column_iter_mut().zip(&strata.visit) {
+            column.scale_mut(*sigma);
+        }
+        let mut covariance = &spread * spread.transpose();
+        for row in 0..covariance.nrows() {
+            covariance[(row, row)] += strata.point.powi(2);
+        }
+        // The noise of a point is positive, so that the covariance has a factor.
+        let lower = covariance.cholesky().map_or_else(
+            || DMatrix::from_diagonal_element(self.residual.len(), self.residual.len(), strata.point),
+            |factor| factor.unpack(),
+        );
+        let log_determinant = lower.diagonal().iter().map(|value| 2.0 * value.ln()).sum();
+        (lower, log_determinant)
+    }
 }
 
 impl<'a> Whitened<'a> {
     /// Whitens a stage by the noise of points and visits.
     pub fn new(stage: &'a Stage, strata: &Strata) -> Self {
-        let mut log_determinant = 0.0;
         let blocks = stage
             .blocks
             .iter()
             .map(|block| {
+                let (lower, _) = block.noise_factor(strata);
                 let mut white = WhiteBlock { places: block.places.clone(), residual: block.residual.clone() };
-                for (row, &reach) in block.spectrum.iter().enumerate() {
-                    let variance = strata.point.powi(2) + strata.visit.powi(2) * reach;
-                    log_determinant += variance.ln();
-                    let factor = 1.0 / variance.sqrt();
-                    white.places.row_mut(row).scale_mut(factor);
-                    white.residual[row] *= factor;
-                }
+                lower.solve_lower_triangular_mut(&mut white.places);
+                lower.solve_lower_triangular_mut(&mut white.residual);
                 white
             })
             .collect();
-        Self { stage, blocks, log_determinant }
+        Self { stage, blocks }
     }
 
     /// A column's rows at a visit.
@@ -72,15 +109,6 @@ impl<'a> Whitened<'a> {
             }
         }
         rows
-    }
-
-    fn nuisance_rows(&self, visit: usize) -> DMatrix<f64> {
-        let columns: Vec<DVector<f64>> =
-            self.stage.nuisance.iter().map(|column| self.rows_of(column, visit)).collect();
-        match columns.is_empty() {
-            true => DMatrix::zeros(self.blocks[visit].residual.len(), 0),
-            false => DMatrix::from_columns(&columns),
-        }
     }
 }
 
@@ -119,6 +147,11 @@ impl Layout {
         (posture < self.postures).then(|| self.nuisance + self.joints * posture)
     }
 
+    /// Where the errors that a visit shares begin.
+    fn shared(&self, block: &super::stage::Block) -> impl Iterator<Item = usize> + Clone {
+        [self.posture(block.posture), self.cycle(block.cycle)].into_iter().flatten()
+    }
+
     fn cycle(&self, cycle: usize) -> Option<usize> {
         (cycle < self.cycles).then(|| self.nuisance + self.joints * (self.postures + cycle))
     }
@@ -137,10 +170,8 @@ pub struct Cross {
     pub drawn: DMatrix<f64>,
 }
 
-/// Normal equations of nuisance and shared errors, and what is needed for those of any further column.
-pub struct Normal<'a> {
-    /// The whitened stage.
-    pub white: &'a Whitened<'a>,
+/// Normal equations of nuisance and shared errors.
+pub struct System {
     /// The layout of the columns.
     pub layout: Layout,
     /// Products of all columns.
@@ -148,10 +179,125 @@ pub struct Normal<'a> {
     /// Products with the residual.
     pub right: DVector<f64>,
     /// Sum of squares of the residual.
-    pub square: f64,
-    /// Rows.
-    pub rows: usize,
-    /// For each visit `[nuisance | joints]ᵀ places`, and below it the residual's.
+    square: f64,
+    /// Logarithm of the determinant of the visits' covariance.
+    log_determinant: f64,
+}
+
+impl System {
+    /// The normal equations of a stage's rows under given noise of points and visits.
+    pub fn new(stage: &Stage, rows: &Rows, strata: &Strata) -> Self {
+        let layout = Layout::new(stage);
+        let (own, joints) = (layout.nuisance, layout.joints);
+        let count = layout.count();
+        let mut system = System {
+            layout,
+            matrix: DMatrix::zeros(count, count),
+            right: DVector::zeros(count),
+            square: 0.0,
+            log_determinant: 0.0,
+        };
+        for (block, raw) in stage.blocks.iter().zip(&rows.0) {
+            let mut left = raw.clone();
+            let (lower, log_determinant) = block.noise_factor(strata);
+            system.log_determinant += log_determinant;
+            lower.solve_lower_triangular_mut(&mut left);
+            // By the general product, which is blocked; the transposed one is not.
+            let gram = left.transpose() * &left;
+            system.square += gram[(own + joints, own + joints)];
+            let shared = layout.shared(block);
+            let mut add = |to: (usize, usize), from: (usize, usize), shape: (usize, usize)| {
+                let mut part = system.matrix.view_mut(to, shape);
+                part += gram.view(from, shape);
+            };
+            add((0, 0), (0, 0), (own, own));
+            for place in shared.clone() {
+                add((0, place), (0, own), (own, joints));
+                add((place, 0), (own, 0), (joints, own));
+                for other in shared.clone() {
+                    add((place, other), (own, own), (joints, joints));
+                }
+            }
+            let mut right = system.right.rows_mut(0, own);
+            right += gram.view((0, own + joints), (own, 1));
+            for place in shared {
+                let mut right = system.right.rows_mut(place, joints);
+                right += gram.view((own, own + joints), (joints, 1));
+            }
+        }
+        system
+    }
+
+    /// Columns that take part under given sizes of the shared errors, their scaled lower factor and their scale; with the
+    /// logarithms of the determinants of prior and factor.
+    fn triangle(&self, posture: f64, cycle: f64) -> Option<Triangle> {
+        let Layout { nuisance, joints, postures, cycles } = self.layout;
+        let with_postures = if posture > 0.0 { joints * postures } else { 0 };
+        let with_cycles = if cycle > 0.0 { joints * cycles } else { 0 };
+        let chosen: Vec<usize> = (0..nuisance + with_postures)
+            .chain((0..with_cycles).map(|rank| nuisance + joints * postures + rank))
+            .collect();
+        let prior = |rank: usize| match rank.checked_sub(nuisance) {
+            None => None,
+            Some(rank) if rank < with_postures => Some(posture),
+            Some(_) => Some(cycle),
+        };
+        let log_prior: f64 = (0..chosen.len()).filter_map(prior).map(|sigma| 2.0 * sigma.ln()).sum();
+        let own = |rank: usize| {
+            self.matrix[(chosen[rank], chosen[rank])] + prior(rank).map_or(0.0, |sigma: f64| sigma.powi(-2))
+        };
+        let scale: Vec<f64> = (0..chosen.len()).map(|rank| 1.0 / own(rank).max(f64::MIN_POSITIVE).sqrt()).collect();
+        let matrix = DMatrix::from_fn(chosen.len(), chosen.len(), |i, j| match i == j {
+            true => own(i) * scale[i] * scale[i],
+            false => self.matrix[(chosen[i], chosen[j])] * scale[i] * scale[j],
+        });
+        let lower = matrix.cholesky()?.unpack();
+        let log_factor: f64 =
+            lower.diagonal().iter().zip(&scale).map(|(value, scale)| 2.0 * (value.ln() - scale.ln())).sum();
+        Some(Triangle { chosen, lower, scale, log_determinants: log_prior + log_factor })
+    }
+
+    fn likelihood_with(&self, log_determinants: f64, square: f64) -> f64 {
+        -0.5 * (self.log_determinant + log_determinants + square)
+    }
+
+    /// The restricted log likelihood under given sizes of the shared errors, but for a constant.
+    pub fn log_likelihood(&self, posture: f64, cycle: f64) -> f64 {
+        let Some(triangle) = self.triangle(posture, cycle) else { return f64::NEG_INFINITY };
+        let right = DVector::from_fn(triangle.chosen.len(), |i, _| self.right[triangle.chosen[i]] * triangle.scale[i]);
+        match triangle.lower.solve_lower_triangular(&right) {
+            Some(right) => self.likelihood_with(triangle.log_determinants, self.square - right.norm_squared()),
+            None => f64::NEG_INFINITY,
+        }
+    }
+
+    /// The inverse factor under given sizes of the shared errors; none where it is singular.
+    pub fn factor(&self, posture: f64, cycle: f64) -> Option<Factor> {
+        let Triangle { chosen, lower, scale, log_determinants } = self.triangle(posture, cycle)?;
+        let mut inverse = lower.solve_lower_triangular(&DMatrix::identity(chosen.len(), chosen.len()))?;
+        for (j, scale) in scale.iter().enumerate() {
+            inverse.column_mut(j).scale_mut(*scale);
+        }
+        let right = &inverse * self.right.select_rows(&chosen);
+        let log_likelihood = self.likelihood_with(log_determinants, self.square - right.norm_squared());
+        Some(Factor { chosen, inverse, right, log_likelihood, posture, cycle })
+    }
+}
+
+struct Triangle {
+    chosen: Vec<usize>,
+    lower: DMatrix<f64>,
+    scale: Vec<f64>,
+    log_determinants: f64,
+}
+
+/// A system with what is needed for the products of any further column.
+pub struct Normal<'a> {
+    /// The whitened stage.
+    pub white: &'a Whitened<'a>,
+    /// The normal equations.
+    pub system: System,
+    /// For each visit `[nuisance | joints | residual]ᵀ places`.
     products: Vec<DMatrix<f64>>,
     /// For each visit the draws' products with the places: draws by places.
     drawn: Vec<DMatrix<f64>>,
@@ -160,76 +306,48 @@ pub struct Normal<'a> {
 }
 
 impl<'a> Normal<'a> {
-    /// The normal equations over the visits that are picked; `noise` gives for each visit rows of white noise, one column a
-    /// draw.
-    pub fn new(white: &'a Whitened<'a>, draws: usize, mut noise: impl FnMut(usize, usize) -> DMatrix<f64>) -> Self {
-        let layout = Layout::new(white.stage);
-        let (own, joints) = (layout.nuisance, layout.joints);
-        let count = layout.count();
-        let mut normal = Normal {
-            white,
-            layout,
-            matrix: DMatrix::zeros(count, count),
-            right: DVector::zeros(count),
-            square: 0.0,
-            rows: 0,
-            products: Vec::with_capacity(white.blocks.len()),
-            drawn: Vec::with_capacity(white.blocks.len()),
-            drawn_right: DMatrix::zeros(count, draws),
-        };
-        for (visit, block) in white.blocks.iter().enumerate() {
-            let rows = block.residual.len();
-            normal.rows += rows;
-            normal.square += block.residual.norm_squared();
-            let mut left = DMatrix::zeros(rows, own + joints + 1);
-            left.columns_mut(0, own).copy_from(&white.nuisance_rows(visit));
-            left.columns_mut(own, joints).copy_from(&block.places.columns(0, joints));
-            left.set_column(own + joints, &block.residual);
-            let gram = left.tr_mul(&left);
-            let shared: Vec<usize> = [
-                layout.posture(white.stage.blocks[visit].posture),
-                layout.cycle(white.stage.blocks[visit].cycle),
-            ]
-            .into_iter()
-            .flatten()
-            .collect();
-            let mut add = |to: (usize, usize), from: (usize, usize), shape: (usize, usize)| {
-                let mut part = normal.matrix.view_mut(to, shape);
-                part += gram.view(from, shape);
-            };
-            add((0, 0), (0, 0), (own, own));
-            for &place in &shared {
-                add((0, place), (0, own), (own, joints));
-                add((place, 0), (own, 0), (joints, own));
-                for &other in &shared {
-                    add((place, other), (own, own), (joints, joints));
-                }
-            }
-            let mut right = normal.right.rows_mut(0, own);
-            right += gram.view((0, own + joints), (own, 1));
-            for &place in &shared {
-                let mut right = normal.right.rows_mut(place, joints);
-                right += gram.view((own, own + joints), (joints, 1));
-            }
+    /// The normal equations of a whitened stage.
+    pub fn new(white: &'a Whitened<'a>, strata: &Strata) -> Self {
+        Self::with_draws(white, strata, 0, |_| DMatrix::zeros(0, 0))
+    }
+
+    /// The same with draws of noise: `noise` gives for so many rows white noise, one column a draw.
+    pub fn with_draws(
+        white: &'a Whitened<'a>,
+        strata: &Strata,
+        draws: usize,
+        mut noise: impl FnMut(usize) -> DMatrix<f64>,
+    ) -> Self {
+        let stage = white.stage;
+        let rows = Rows::new(stage);
+        let system = System::new(stage, &rows, strata);
+        let (own, joints) = (system.layout.nuisance, system.layout.joints);
+        let mut drawn_right = DMatrix::zeros(system.layout.count(), draws);
+        let mut drawn = Vec::new();
+        let mut products = Vec::with_capacity(stage.blocks.len());
+        for ((block, raw), white) in stage.blocks.iter().zip(&rows.0).zip(&white.blocks) {
+            let mut left = raw.clone();
+            block.noise_factor(strata).0.solve_lower_triangular_mut(&mut left);
+            let transposed = left.transpose();
             if draws > 0 {
-                let noise = noise(visit, rows);
-                let with = left.columns(0, own + joints).tr_mul(&noise);
-                let mut part = normal.drawn_right.rows_mut(0, own);
+                let noise = noise(left.nrows());
+                let with = &transposed.rows(0, own + joints) * &noise;
+                let mut part = drawn_right.rows_mut(0, own);
                 part += with.rows(0, own);
-                for &place in &shared {
-                    let mut part = normal.drawn_right.rows_mut(place, joints);
+                for place in system.layout.shared(block) {
+                    let mut part = drawn_right.rows_mut(place, joints);
                     part += with.rows(own, joints);
                 }
-                normal.drawn.push(noise.tr_mul(&block.places));
+                drawn.push(noise.transpose() * &white.places);
             }
-            normal.products.push(left.tr_mul(&block.places));
+            products.push(transposed * &white.places);
         }
-        normal
+        Self { white, system, products, drawn, drawn_right }
     }
 
     /// The products of an hypothesis' columns.
     pub fn cross(&self, columns: &[Column]) -> Cross {
-        let layout = self.layout;
+        let layout = self.system.layout;
         let (own, joints) = (layout.nuisance, layout.joints);
         let draws = self.drawn_right.ncols();
         let mut cross = Cross {
@@ -247,7 +365,7 @@ impl<'a> Normal<'a> {
                     let block = &self.white.stage.blocks[visit];
                     let mut with = cross.with.column_mut(rank);
                     with.rows_mut(0, own).axpy(amount, &product.rows(0, own), 1.0);
-                    for place in [layout.posture(block.posture), layout.cycle(block.cycle)].into_iter().flatten() {
+                    for place in layout.shared(block) {
                         with.rows_mut(place, joints).axpy(amount, &product.rows(own, joints), 1.0);
                     }
                     cross.response[rank] += amount * product[own + joints];
@@ -262,8 +380,7 @@ impl<'a> Normal<'a> {
             if columns.iter().all(|column| column.iter().all(|(_, amounts)| amounts[visit] == 0.0)) {
                 continue;
             }
-            let rows: Vec<DVector<f64>> =
-                columns.iter().map(|column| self.white.rows_of(column, visit)).collect();
+            let rows: Vec<DVector<f64>> = columns.iter().map(|column| self.white.rows_of(column, visit)).collect();
             for i in 0..rows.len() {
                 for j in 0..=i {
                     cross.own[(i, j)] += rows[i].dot(&rows[j]);
@@ -273,41 +390,6 @@ impl<'a> Normal<'a> {
         cross.own.fill_upper_triangle_with_lower_triangle();
         cross
     }
-
-    /// The factor under given sizes of the shared errors; none where it is singular.
-    pub fn factor(&self, posture: f64, cycle: f64) -> Option<Factor> {
-        let Layout { nuisance, joints, postures, cycles } = self.layout;
-        let with_postures = if posture > 0.0 { joints * postures } else { 0 };
-        let with_cycles = if cycle > 0.0 { joints * cycles } else { 0 };
-        let chosen: Vec<usize> = (0..nuisance + with_postures)
-            .chain((0..with_cycles).map(|rank| nuisance + joints * postures + rank))
-            .collect();
-        let mut matrix = self.matrix.select_rows(&chosen).select_columns(&chosen);
-        let mut log_prior = 0.0;
-        for rank in 0..with_postures + with_cycles {
-            let sigma = if rank < with_postures { posture } else { cycle };
-            matrix[(nuisance + rank, nuisance + rank)] += sigma.powi(-2);
-            log_prior += 2.0 * sigma.ln();
-        }
-        let scale: Vec<f64> =
-            (0..chosen.len()).map(|i| 1.0 / matrix[(i, i)].max(f64::MIN_POSITIVE).sqrt()).collect();
-        for i in 0..chosen.len() {
-            for j in 0..chosen.len() {
-                matrix[(i, j)] *= scale[i] * scale[j];
-            }
-        }
-        let lower = matrix.cholesky()?.unpack();
-        let log_factor: f64 =
-            lower.diagonal().iter().zip(&scale).map(|(value, scale)| 2.0 * (value.ln() - scale.ln())).sum();
-        let mut inverse = lower.solve_lower_triangular(&DMatrix::identity(chosen.len(), chosen.len()))?;
-        for (j, scale) in scale.iter().enumerate() {
-            inverse.column_mut(j).scale_mut(*scale);
-        }
-        let right = &inverse * self.right.select_rows(&chosen);
-        let square = self.square - right.norm_squared();
-        let log_likelihood = -0.5 * (self.white.log_determinant + log_prior + log_factor + square);
-        Some(Factor { chosen, inverse, right, square, log_likelihood, posture, cycle })
-    }
 }
 
 /// The inverse factor of the normal equations under given sizes of the shared errors.
@@ -316,8 +398,6 @@ pub struct Factor {
     /// `L⁻¹` of `L Lᵀ`, unscaled.
     inverse: DMatrix<f64>,
     right: DVector<f64>,
-    /// Sum of squares that is left.
-    pub square: f64,
     /// Restricted log likelihood, but for a constant.
     pub log_likelihood: f64,
     /// Size of the postures' errors.
@@ -345,7 +425,7 @@ impl Factor {
     pub fn project(&self, cross: &Cross) -> Projected {
         let turned = &self.inverse * self.chosen_rows(&cross.with);
         Projected {
-            own: &cross.own - turned.tr_mul(&turned),
+            own: &cross.own - turned.transpose() * &turned,
             response: &cross.response - turned.tr_mul(&self.right),
             before: cross.own.diagonal().iter().map(|value| value.sqrt()).collect(),
         }
@@ -355,20 +435,57 @@ impl Factor {
     /// draws, zero for the nuisance): columns by draws.
     pub fn project_draws(&self, cross: &Cross, drawn: &DMatrix<f64>, shared: &DMatrix<f64>) -> DMatrix<f64> {
         let turned = &self.inverse * self.chosen_rows(&cross.with);
-        &cross.drawn + cross.with.tr_mul(shared) - turned.tr_mul(drawn)
+        &cross.drawn + cross.with.transpose() * shared - turned.transpose() * drawn
     }
 
     /// `L⁻¹` times the draws' products: what [`Factor::project_draws`] needs, once for all hypotheses.
     pub fn turn_draws(&self, normal: &Normal<'_>, shared: &DMatrix<f64>) -> DMatrix<f64> {
-        let all = &normal.drawn_right + &normal.matrix * shared;
+        let all = &normal.drawn_right + &normal.system.matrix * shared;
         &self.inverse * self.chosen_rows(&all)
+    }
+
+    /// For each joint, over all visits: the sum of squares of what the residual says of its errors, and what noise of the
+    /// present size would make of it (the score of a restricted likelihood, in two parts).
+    pub fn joint_scores(&self, stage: &Stage, rows: &Rows, layout: &Layout, strata: &Strata) -> Vec<(f64, f64)> {
+        let (own, joints) = (layout.nuisance, layout.joints);
+        let covariance = self.inverse.transpose() * &self.inverse;
+        let solution = self.inverse.transpose() * &self.right;
+        let place_of = |column: usize| self.chosen.binary_search(&column).ok();
+        let mut scores = vec![(0.0, 0.0); joints];
+        for (block, raw) in stage.blocks.iter().zip(&rows.0) {
+            let mut left = raw.clone();
+            block.noise_factor(strata).0.solve_lower_triangular_mut(&mut left);
+            let k = left.columns(own, joints);
+            let mut columns: Vec<usize> = (0..own).collect();
+            let mut parts = left.columns(0, own).into_owned();
+            for place in layout.shared(block) {
+                if let Some(place) = place_of(place) {
+                    columns.extend(place..place + joints);
+                    let width = parts.ncols();
+                    parts = parts.resize_horizontally(width + joints, 0.0);
+                    parts.columns_mut(width, joints).copy_from(&k);
+                }
+            }
+            let own_covariance = covariance.select_rows(&columns).select_columns(&columns);
+            let transposed = parts.transpose();
+            let cross = &transposed * k;
+            let left_over = left.column(own + joints) - &parts * solution.select_rows(&columns);
+            let response = k.transpose() * left_over;
+            let taken = &own_covariance * &cross;
+            for joint in 0..joints {
+                let expected = k.column(joint).norm_squared() - cross.column(joint).dot(&taken.column(joint));
+                scores[joint].0 += response[joint].powi(2);
+                scores[joint].1 += expected;
+            }
+        }
+        scores
     }
 
     /// The solution for nuisance and shared errors, and the covariance of the first `count` of them.
     pub fn solution(&self, count: usize) -> (DVector<f64>, DMatrix<f64>) {
         let solution = self.inverse.tr_mul(&self.right);
         let first = self.inverse.columns(0, count);
-        (solution.rows(0, count).into_owned(), first.tr_mul(&first))
+        (solution.rows(0, count).into_owned(), first.transpose() * first)
     }
 }
 
@@ -412,7 +529,7 @@ impl Directions {
 
     /// The drops of the sum of squares for many responses, one a column.
     pub fn drops(&self, responses: &DMatrix<f64>) -> Vec<f64> {
-        let along = self.basis.tr_mul(responses);
+        let along = self.basis.transpose() * responses;
         along.column_iter().map(|column| column.norm_squared()).collect()
     }
 }

@@ -57,7 +57,7 @@ pub fn is_pattern(instance: &Instance) -> bool {
 /// The scores of all candidates on top of a fit, best first; patterns with their handicap.
 pub fn scores(fit: &Fit, scene: &Scene, all: &[Candidate], trials: &Trials) -> Vec<Score> {
     let white = Whitened::new(&fit.stage, &fit.strata);
-    let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
+    let normal = Normal::new(&white, &fit.strata);
     let rivals = Rivals::new(&normal, &fit.strata);
     let mut best = score(&normal, &rivals, scene, all, trials);
     let level = |score: &Score| score.ln_p + if is_pattern(&score.instance) { HANDICAP } else { 0.0 };
@@ -75,7 +75,7 @@ const ALLOWED_DROP: f64 = 3.84;
 /// Between which visits a step lies with 95 % confidence.
 fn step_between(without: &Fit, scene: &Scene, own: &Instance) -> Option<(f64, f64)> {
     let white = Whitened::new(&without.stage, &without.strata);
-    let normal = Normal::new(&white, 0, |_, _| unreachable!("no draws were asked for"));
+    let normal = Normal::new(&white, &without.strata);
     let rivals = Rivals::new(&normal, &without.strata);
     let profile = super::candidates::step_profile(&normal, &rivals, scene, own);
     let best = profile.iter().map(|(_, _, ratio, _)| *ratio).fold(0.0, f64::max);
@@ -138,7 +138,10 @@ fn worth(effect: &Instance, covariance: &EffectCovariance) -> Option<(f64, usize
         return None;
     }
     let own = covariance.matrix.view((0, 0), (count, count)).into_owned();
-    let values = nalgebra::DVector::from_iterator(count, covariance.coefficients.iter().map(|&place| effect.coefficients[place]));
+    let values = nalgebra::DVector::from_iterator(
+        count,
+        covariance.coefficients.iter().map(|&place| effect.coefficients[place]),
+    );
     let solved = own.cholesky()?.solve(&values);
     Some((values.dot(&solved), count))
 }
@@ -193,7 +196,8 @@ impl Search {
                     }
                     continue;
                 };
-                if let Some(best) = scores.first().filter(|best| !best.instance.same_name(&own) && exchanges < MOST_EFFECTS)
+                if let Some(best) =
+                    scores.first().filter(|best| !best.instance.same_name(&own) && exchanges < MOST_EFFECTS)
                 {
                     let mut point = without.point.clone();
                     point.effects.insert(place, best.instance.clone());

@@ -71,15 +71,14 @@ pub struct Block {
     pub posture: usize,
     /// The cycle, counted from 0 among the cycles of the run.
     pub cycle: usize,
-    /// Rows by places, in units of the instrument's standard deviation, turned into the axes in which errors of the
-    /// joints are independent.
+    /// Rows by places, in units of the instrument's standard deviation.
     pub places: DMatrix<f64>,
-    /// What is left, in the same units and axes.
+    /// What is left, in the same units.
     pub residual: DVector<f64>,
-    /// What independent errors of all joints of 1 rad do along each of these axes: variances.
-    pub spectrum: Vec<f64>,
-    /// These axes, as columns: rows of the points by axes.
+    /// The axes along which independent errors of all joints would move the points independently, as columns.
     pub axes: DMatrix<f64>,
+    /// What errors of 1 rad do along each of these axes: variances.
+    pub spectrum: Vec<f64>,
     /// The instrument's standard deviation, metres.
     pub sigma: f64,
 }
@@ -198,15 +197,14 @@ impl Stage {
             blocks.push(Block {
                 posture: postures.binary_search(&visit.pose).unwrap_or(0),
                 cycle: cycles.binary_search(&visit.cycle).unwrap_or(0),
-                places: turned.eigenvectors.tr_mul(&block),
-                residual: turned.eigenvectors.tr_mul(&residual),
-                spectrum,
+                places: block,
+                residual,
                 axes: turned.eigenvectors,
+                spectrum,
                 sigma: visit.sigma,
             });
         }
-        let mut stage =
-            Stage { places, blocks, nuisance: Vec::new(), postures: postures.len(), cycles: cycles.len() };
+        let mut stage = Stage { places, blocks, nuisance: Vec::new(), postures: postures.len(), cycles: cycles.len() };
         stage.nuisance = unknowns
             .iter()
             .filter_map(|&unknown| stage.unknown_column(campaign, scene, point, &adjustments, unknown))
@@ -250,11 +248,12 @@ impl Stage {
     /// A term of an effect as a column.
     pub fn column(&self, scene: &Scene, term: &Term) -> Column {
         let mut column: Column = Vec::new();
-        let mut add = |place: usize, amounts: &mut dyn Iterator<Item = f64>| {
-            match column.iter_mut().find(|(known, _)| *known == place) {
-                Some((_, sum)) => sum.iter_mut().zip(amounts).for_each(|(sum, amount)| *sum += amount),
-                None => column.push((place, amounts.collect())),
-            }
+        let mut add = |place: usize, amounts: &mut dyn Iterator<Item = f64>| match column
+            .iter_mut()
+            .find(|(known, _)| *known == place)
+        {
+            Some((_, sum)) => sum.iter_mut().zip(amounts).for_each(|(sum, amount)| *sum += amount),
+            None => column.push((place, amounts.collect())),
         };
         for act in term {
             let amounts = act.amounts();

@@ -1,19 +1,15 @@
 //! A parameter that grows with temperature although the model keeps it fixed.
 //!
-//! `Δk = Σ coefficient · rise` over the sensors of one link: one coefficient for their mean, or one each.
+//! `Δk = coefficient · rise` of one sensor, or of the mean of a link's sensors: what the sensors of a link say apart from each
+//! other is hardly more than their noise.
 
 use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ThermalGrowth;
 
-/// The shape is the link, and whether its sensors share a coefficient or have one each.
-const SHARED: f64 = 0.0;
-const EACH: f64 = 1.0;
-
-fn sensors(scene: &Scene, shape: &[f64]) -> Vec<usize> {
-    scene.sensors_of(shape[0] as usize)
-}
+/// The shape is the link and a sensor of it, counted from 1; 0 is their mean.
+const MEAN: f64 = 0.0;
 
 impl Effect for ThermalGrowth {
     fn name(&self) -> &'static str {
@@ -35,9 +31,10 @@ impl Effect for ThermalGrowth {
     fn shapes(&self, scene: &Scene, _: &Site) -> Vec<Vec<f64>> {
         let mut shapes = Vec::new();
         for link in scene.sensed_links() {
-            shapes.push(vec![link as f64, SHARED]);
-            if scene.sensors_of(link).len() > 1 {
-                shapes.push(vec![link as f64, EACH]);
+            shapes.push(vec![link as f64, MEAN]);
+            let sensors = scene.sensors_of(link).len();
+            if sensors > 1 {
+                shapes.extend((1..=sensors).map(|sensor| vec![link as f64, sensor as f64]));
             }
         }
         shapes
@@ -45,11 +42,11 @@ impl Effect for ThermalGrowth {
 
     fn terms(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Vec<Term> {
         let Some(place) = site.parameter else { return Vec::new() };
-        let sensors = sensors(scene, shape);
-        if shape[1] == EACH {
-            let one = |&sensor: &usize| vec![Acts::Parameter(place, scene.by_visit(|visit| visit.rises[sensor]))];
-            return sensors.iter().map(one).collect();
-        }
+        let all = scene.sensors_of(shape[0] as usize);
+        let sensors = match all.get((shape[1] as usize).wrapping_sub(1)) {
+            Some(one) => std::slice::from_ref(one),
+            None => &all[..],
+        };
         let mean = scene.by_visit(|visit| {
             sensors.iter().map(|&sensor| visit.rises[sensor]).sum::<f64>() / sensors.len().max(1) as f64
         });
@@ -57,29 +54,31 @@ impl Effect for ThermalGrowth {
     }
 
     fn parameters(&self, _: &Site, shape: &[f64], coefficients: &[f64]) -> Vec<Named> {
-        let mut named = match coefficients {
-            [one] => vec![Named::new("coefficient", *one)],
-            many => (1..).zip(many).map(|(n, value)| Named::new(format!("coefficient_{n}"), *value)).collect(),
-        };
-        named.push(Named::new("link", shape[0]));
-        named
+        vec![
+            Named::new("coefficient", coefficients[0]),
+            Named::new("link", shape[0]),
+            Named::new("sensor_of_link", shape[1]),
+        ]
     }
 
     fn form(&self, _: &Site) -> Form {
-        Form::whole().parameter().shape(2..=2).coefficients(1..=usize::MAX)
+        Form::whole().parameter().shape(2..=2)
     }
 
     fn values(&self, scene: &Scene, site: &Site, given: &mut Given) -> Result<Values, InstanceError> {
-        let coefficients = given.numbered("coefficient", |number| format!("coefficient_{number}"))?;
+        let coefficient = given.number("coefficient")?;
         // Without a word about it, the link that the parameter belongs to.
         let own = site.parameter.map_or(0, |place| scene.chain.parameters()[place].transform);
         let link = given.optional("link")?.unwrap_or(own as f64);
-        given.require("link", link, !sensors(scene, &[link]).is_empty(), "a link with sensors")?;
-        let kind = if coefficients.len() == 1 { SHARED } else { EACH };
-        Ok(Values::new([link, kind], coefficients))
+        let sensors = scene.sensors_of(link as usize).len();
+        given.require("link", link, sensors > 0, "a link with sensors")?;
+        let sensor = given.optional("sensor_of_link")?.unwrap_or(MEAN);
+        given.require("sensor_of_link", sensor, (0..=sensors).any(|one| one as f64 == sensor), "a sensor of the link")?;
+        Ok(Values::new([link, sensor], [coefficient]))
     }
 
     fn lacks(&self, scene: &Scene, _: &Site, shape: &[f64]) -> Option<&'static str> {
-        sensors(scene, shape).is_empty().then_some("the sensors that it follows")
+        let sensors = scene.sensors_of(shape[0] as usize).len();
+        (sensors == 0 || shape[1] > sensors as f64).then_some("the sensors that it follows")
     }
 }
