@@ -214,6 +214,7 @@ pub fn calibrate(
         temperatures: observed.temperatures,
         anchors: campaign.anchors.clone(),
         estimates,
+        extended: None,
     };
     Ok(Calibration {
         model,

@@ -1,12 +1,13 @@
 //! Identification of an arm from measurements: geometry, thermal coefficients, what the data can tell, and how surely.
 //!
-//! Knows nothing of effects beyond geometry and temperature.
+//! Identification knows nothing of effects beyond geometry and temperature; `validation` applies those that a model carries.
 
 mod align;
 mod calibration;
 mod campaign;
 mod covariance;
 mod factor;
+mod folded;
 mod heldout;
 mod identify;
 pub mod methods;
@@ -26,6 +27,7 @@ pub use calibration::{Calibration, CalibrationError, Request, Start, calibrate, 
 pub use campaign::{Campaign, ObservedDistance, ObservedPosition, ObservedTurn, ObservedVisit};
 pub use covariance::{Noise, Uncertainty, uncertainty};
 pub use factor::{NewRows, OrthogonalFactor};
+pub use folded::folded;
 pub use heldout::{Folds, HeldOut, HeldOutBy, HeldOutError, held_out};
 pub use identify::{Identification, Manner, Weak, geometric_unknowns, identifiable, identify};
 pub use observe::{JointSource, ObserveOptions, Observed, observe};

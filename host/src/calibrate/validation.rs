@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 
 use super::align::{align, base_unknowns, target_unknowns};
 use super::campaign::{Campaign, ObservedVisit};
+use super::folded::folded;
 use super::identify::{Manner, identify};
-use super::observe::{ObserveOptions, observe};
+use super::observe::{ObserveOptions, Observed, observe};
 use super::problem::Problem;
 use super::unknown::{GrowthTerm, State};
+use crate::effect::{Growing, Scene, Seen, adjustments};
 use crate::input::InputError;
 use crate::model::{ErrorTally, Errors, Level, Model};
 use crate::robot::Robot;
@@ -23,7 +25,7 @@ pub struct Refit {
 }
 
 /// The levels that a model has, in the order of results.
-pub const LEVELS: [Level; 3] = [Level::Nominal, Level::Geometric, Level::Thermal];
+pub const LEVELS: [Level; 4] = [Level::Nominal, Level::Geometric, Level::Thermal, Level::Extended];
 
 /// Errors of the levels over one cycle or one pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,7 +37,7 @@ pub struct Group {
     /// Mean temperature of the model's sensors, degrees Celsius; of the air where the model has none.
     pub temperature: Option<f64>,
     /// Errors in the order of [`LEVELS`].
-    pub errors: [Errors; 3],
+    pub errors: [Errors; 4],
 }
 
 /// A model judged on a run.
@@ -45,8 +47,11 @@ pub struct Validation {
     pub visits: usize,
     /// Points judged.
     pub points: usize,
-    /// Errors over the whole run in the order of [`LEVELS`].
-    pub errors: [Errors; 3],
+    /// Errors over the whole run in the order of [`LEVELS`]; the extended level is the thermal one where the model carries
+    /// no effects.
+    pub errors: [Errors; 4],
+    /// Whether the model carries effects, so that the extended level is worth reporting.
+    pub has_effects: bool,
     /// By cycle.
     pub cycles: Vec<Group>,
     /// By pose.
@@ -81,31 +86,44 @@ pub fn validate(
         return Err(InputError::of_file(&run.folder.join("poses.csv"), message));
     }
     let mut notes = observed.notes.clone();
-    let mut growth = Vec::new();
-    let mut coefficients = Vec::new();
-    for term in &model.growth {
-        let parameter = campaign.chain.place(term.parameter);
-        let sensor = campaign.sensors.iter().position(|name| *name == term.sensor);
-        match (parameter, sensor) {
-            (Some(parameter), Some(sensor)) => {
-                growth.push(GrowthTerm { parameter, sensor });
-                coefficients.push(term.coefficient);
-            }
-            _ => notes.push(format!("{} cannot follow {}: the run has no such readings", term.parameter, term.sensor)),
-        }
-    }
-    let mut overall = [ErrorTally::default(); 3];
-    let mut by_cycle: BTreeMap<u32, (f64, [ErrorTally; 3])> = BTreeMap::new();
-    let mut by_pose: BTreeMap<u32, (f64, [ErrorTally; 3])> = BTreeMap::new();
+    let mut overall = [ErrorTally::default(); 4];
+    let mut by_cycle: BTreeMap<u32, (f64, [ErrorTally; 4])> = BTreeMap::new();
+    let mut by_pose: BTreeMap<u32, (f64, [ErrorTally; 4])> = BTreeMap::new();
+    let has_effects = model.extended.is_some();
     for (place, level) in LEVELS.into_iter().enumerate() {
-        let thermal = level == Level::Thermal;
-        let own = Campaign { growth: if thermal { growth.clone() } else { Vec::new() }, ..campaign.clone() };
+        if level == Level::Extended && !has_effects {
+            overall[place] = overall[place - 1];
+            for (_, tallies) in by_cycle.values_mut().chain(by_pose.values_mut()) {
+                tallies[place] = tallies[place - 1];
+            }
+            break;
+        }
+        let mut own = campaign.clone();
+        let mut coefficients = Vec::new();
+        for (parameter, sensor, coefficient) in model.growth_at(level) {
+            let places = (campaign.chain.place(parameter), campaign.sensors.iter().position(|name| name == sensor));
+            if let (Some(parameter), Some(sensor)) = places {
+                own.growth.push(GrowthTerm { parameter, sensor });
+                coefficients.push(coefficient);
+            } else if level == Level::Thermal {
+                notes.push(format!("{parameter} cannot follow {sensor}: the run has no such readings"));
+            }
+        }
         let mut geometry = model.geometry(level).clone();
         if refit.targets {
             geometry.targets = observed.nominal.geometry.targets.clone();
             geometry.turns = observed.nominal.geometry.turns.clone();
         }
-        let start = State { geometry, growth: if thermal { coefficients.clone() } else { Vec::new() } };
+        if level == Level::Extended {
+            let scene = scene_of(model, run, &observed, &own, &coefficients);
+            let applied = model.effects_in(&scene, &own.targets);
+            notes.extend(applied.notes);
+            let adjustments = adjustments(&scene, &applied.instances, &geometry.targets);
+            let (with_effects, ones) = folded(&own, &adjustments, &scene.station);
+            own = with_effects;
+            coefficients.extend(ones);
+        }
+        let start = State { geometry, growth: coefficients };
         let state = refitted(&robot, &own, start, refit);
         Problem::new(&own, Vec::new(), &state).distances(&state, |visit, _, error| {
             let distance = error.norm();
@@ -124,7 +142,7 @@ pub fn validate(
         notes.push(format!("{what} found anew on this run, for each level of the model alone"));
     }
     let warm = |group: &dyn Fn(&ObservedVisit) -> bool| mean_temperature(model, run, options, &campaign, group);
-    let groups = |sums: BTreeMap<u32, (f64, [ErrorTally; 3])>, cycles: bool| {
+    let groups = |sums: BTreeMap<u32, (f64, [ErrorTally; 4])>, cycles: bool| {
         sums.into_iter()
             .map(|(number, (time_s, tallies))| Group {
                 number,
@@ -138,10 +156,38 @@ pub fn validate(
         visits: campaign.visits.len(),
         points: overall[0].count(),
         errors: overall.map(|tally| tally.errors()),
+        has_effects,
         cycles: groups(by_cycle, true),
         poses: groups(by_pose, false),
         notes,
     })
+}
+
+/// The run as the model's effects see it, with the thermal model fitted together with them.
+fn scene_of(model: &Model, run: &Run, observed: &Observed, campaign: &Campaign, coefficients: &[f64]) -> Scene {
+    let seen = campaign.visits.iter().map(|visit| Seen {
+        place: visit.place,
+        joints: visit.posture.positions(),
+        rises: visit.rises.clone(),
+    });
+    // Torques follow from the geometry that discovery took them from.
+    let mut scene = Scene::new(
+        &observed.robot,
+        run,
+        seen,
+        &model.reference.parameters,
+        &observed.temperatures,
+        observed.nominal.geometry.targets.clone(),
+        &observed.unknown_targets,
+    );
+    scene.air_reference_c = model.extended.as_ref().and_then(|extended| extended.air_reference_c);
+    scene.growth = campaign
+        .growth
+        .iter()
+        .zip(coefficients)
+        .map(|(term, &coefficient)| Growing { parameter: term.parameter, sensor: term.sensor, coefficient })
+        .collect();
+    scene
 }
 
 /// A state with base or targets found anew.

@@ -11,7 +11,6 @@ use super::output::JsonOption;
 use super::words;
 use crate::calibrate::Request;
 use crate::discover::{Discovery, DiscoveryError, DiscoveryRequest, Finding, Level, discover};
-use crate::effect::SiteNames;
 
 /// Find what a calibrated model gets wrong, name the physical cause, and measure what its correction gains
 #[derive(Debug, Args)]
@@ -56,6 +55,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         hold_out: !arguments.no_hold_out,
     };
     let discovery = discover(&robot, &run, &request)?;
+    if let Some(file) = &arguments.out {
+        discovery.model().write(file).map_err(|error| Failure::Work(error.to_string()))?;
+    }
     if arguments.json.leaves_words() {
         say(&discovery);
     }
@@ -67,31 +69,11 @@ fn chance(ln_p: f64) -> f64 {
     ln_p.min(0.0).exp().max(f64::MIN_POSITIVE)
 }
 
-/// Where, in words.
-fn place(place: &SiteNames) -> String {
-    let mut words = Vec::new();
-    match (place.from, place.joint) {
-        (Some(from), Some(joint)) => words.push(format!("from joint {from} to joint {joint}")),
-        (_, Some(joint)) => words.push(format!("joint {joint}")),
-        _ => {}
-    }
-    words.extend(place.parameter.clone());
-    words.extend(place.sensor.clone());
-    words.extend(place.target.clone());
-    if !place.sensors.is_empty() {
-        words.push(place.sensors.join(" and "));
-    }
-    if !place.targets.is_empty() {
-        words.push(place.targets.join(" and "));
-    }
-    words.join(", ")
-}
-
 fn say_finding(finding: &Finding) {
     println!(
         "\n{} {} (chance in noise {:.1e})",
         finding.effect.replace('_', " "),
-        place(&finding.place),
+        finding.place,
         chance(finding.ln_p)
     );
     for estimate in &finding.parameters {
@@ -123,7 +105,7 @@ fn say_finding(finding: &Finding) {
         println!(
             "  these data hardly tell it from {} {} (log evidence {:+.1})",
             other.effect.replace('_', " "),
-            place(&other.place),
+            other.place,
             other.log_evidence
         );
     }

@@ -69,7 +69,8 @@ fn say(model: &Model, validation: &Validation) {
         println!("note: {note}");
     }
     println!("\nposition error       mean      RMS      max  mm");
-    for (name, errors) in ["nominal", "geometric", "thermal"].iter().zip(&validation.errors) {
+    let levels = levels(validation);
+    for (name, errors) in levels.iter().zip(&validation.errors) {
         println!("{}", words::errors(name, errors));
     }
     for (name, groups) in [("cycle", &validation.cycles), ("pose", &validation.poses)] {
@@ -80,33 +81,41 @@ fn say(model: &Model, validation: &Validation) {
             println!("\nmean error of {} {name}s: see --json", groups.len());
             continue;
         }
-        println!("\n{name:>6}   time s      °C    nominal  geometric  thermal  (mean, mm)");
+        let heads: Vec<String> = levels.iter().map(|level| format!("{level:>10}")).collect();
+        println!("\n{name:>6}   time s      °C {}  (mean, mm)", heads.concat());
         for group in groups {
             let temperature = group.temperature.map_or_else(|| "-".to_owned(), |celsius| format!("{celsius:.2}"));
-            let [nominal, geometric, thermal] = group.errors.map(|errors| errors.mean_mm);
-            println!(
-                "{:6} {:8.0} {temperature:>7} {nominal:10.3} {geometric:10.3} {thermal:8.3}",
-                group.number, group.time_s
-            );
+            let means: Vec<String> =
+                levels.iter().zip(&group.errors).map(|(_, errors)| format!("{:10.3}", errors.mean_mm)).collect();
+            println!("{:6} {:8.0} {temperature:>7} {}", group.number, group.time_s, means.concat());
         }
     }
 }
 
+/// The levels that are worth reporting, by their names.
+fn levels(validation: &Validation) -> &'static [&'static str] {
+    match validation.has_effects {
+        true => &["nominal", "geometric", "thermal", "extended"],
+        false => &["nominal", "geometric", "thermal"],
+    }
+}
+
 fn as_json(validation: &Validation) -> serde_json::Value {
-    let [nominal, geometric, thermal] = &validation.errors;
+    let levels = levels(validation);
     let row = |name: &str, group: &Group| {
-        let [nominal, geometric, thermal] = group.errors.map(|errors| errors.mean_mm);
-        json!({
-            name: group.number, "time_s": group.time_s, "temperature_c": group.temperature,
-            "nominal_mm": nominal, "geometric_mm": geometric, "thermal_mm": thermal,
-        })
+        let mut value = json!({ name: group.number, "time_s": group.time_s, "temperature_c": group.temperature });
+        for (level, errors) in levels.iter().zip(&group.errors) {
+            value[format!("{level}_mm")] = json!(errors.mean_mm);
+        }
+        value
     };
-    json!({
-        "format": 1, "command": "validate",
-        "visits": validation.visits, "points": validation.points,
-        "nominal": nominal, "geometric": geometric, "thermal": thermal,
-        "cycles": validation.cycles.iter().map(|group| row("cycle", group)).collect::<Vec<_>>(),
-        "poses": validation.poses.iter().map(|group| row("pose", group)).collect::<Vec<_>>(),
-        "notes": validation.notes,
-    })
+    let mut value =
+        json!({ "format": 1, "command": "validate", "visits": validation.visits, "points": validation.points });
+    for (level, errors) in levels.iter().zip(&validation.errors) {
+        value[*level] = json!(errors);
+    }
+    value["cycles"] = validation.cycles.iter().map(|group| row("cycle", group)).collect();
+    value["poses"] = validation.poses.iter().map(|group| row("pose", group)).collect();
+    value["notes"] = json!(validation.notes);
+    value
 }

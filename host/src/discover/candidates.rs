@@ -8,8 +8,8 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::chance::{ln_chi_square, ln_likelihood_ratio, ln_smallest_of};
 use super::normal::{Factor, Normal, Strata, Whitened};
-use super::pattern::Pattern;
 use super::stage::{Column, Stage};
+use crate::effect::pattern::Pattern;
 use crate::effect::{Effect, Instance, Scene, Site, catalogue};
 
 /// An effect at a place.

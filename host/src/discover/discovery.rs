@@ -7,7 +7,6 @@ use super::fit::{Fit, positional, update_growth};
 use super::gain::{Question, folds};
 use super::gross::{Outlier, Swap, plainly_wrong, put_labels_right, without};
 use super::normal::{Rows, Strata, System};
-use super::pattern;
 use super::readings::{ReadingFault, examine};
 use super::search::{Search, is_pattern, search};
 use super::stage::{Point, Stage, errors};

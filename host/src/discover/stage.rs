@@ -109,20 +109,7 @@ pub struct Point {
 
 /// The sum of what the effects do at every visit.
 pub fn adjustments(scene: &Scene, point: &Point) -> Vec<Adjustment> {
-    let chain = &scene.chain;
-    let targets = &point.state.geometry.targets;
-    let none = Adjustment::none(chain.joint_count(), chain.parameters().len(), scene.sensors.len(), targets.len());
-    let mut all = vec![none; scene.visits.len()];
-    for effect in &point.effects {
-        for (term, coefficient) in effect.terms(scene).iter().zip(&effect.coefficients) {
-            for act in term {
-                for (visit, adjustment) in all.iter_mut().enumerate() {
-                    adjustment.add(act, visit, *coefficient, targets);
-                }
-            }
-        }
-    }
-    all
+    crate::effect::adjustments(scene, &point.effects, &point.state.geometry.targets)
 }
 
 /// The chain's parameters at a visit.

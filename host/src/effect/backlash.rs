@@ -1,6 +1,6 @@
 //! Play in a gear: the joint stops on the side that it came from, `Δq = width / 2 · approach`.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct Backlash;
@@ -24,5 +24,13 @@ impl Effect for Backlash {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("width_rad", coefficients[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint()
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([], [given.number("width_rad")?]))
     }
 }

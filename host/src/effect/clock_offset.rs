@@ -2,7 +2,7 @@
 //!
 //! What stood at a visit's true time is logged at that time plus the offset.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, Instance, InstanceError, Named, Readings, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ClockOffset;
@@ -30,6 +30,20 @@ impl Effect for ClockOffset {
 
     fn parameters(&self, _: &Site, shape: &[f64], _: &[f64]) -> Vec<Named> {
         vec![Named::new("offset_s", shape[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().shape(1..=1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([given.number("offset_s")?], [1.0]))
+    }
+
+    fn spoil(&self, _: &Scene, instance: &Instance, log: &mut [Readings]) {
+        for time in log.iter_mut().flat_map(|readings| &mut readings.times_s) {
+            *time += instance.shape[0];
+        }
     }
 
     fn refine(&self, _: &Scene, shape: &[f64]) -> Vec<f64> {

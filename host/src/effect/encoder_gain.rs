@@ -1,6 +1,6 @@
 //! An encoder whose scale is off: `Δq = gain · q`.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct EncoderGain;
@@ -21,5 +21,13 @@ impl Effect for EncoderGain {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("gain", coefficients[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint()
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([], [given.number("gain")?]))
     }
 }

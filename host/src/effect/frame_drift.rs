@@ -1,6 +1,6 @@
 //! The instrument and the base move against each other, steadily.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct FrameDrift;
@@ -38,6 +38,16 @@ impl Effect for FrameDrift {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         motion_names("shift m_per_s", "turn rad_per_s", coefficients)
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().coefficients(6..=6)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let mut coefficients = given.vector("shift", "m_per_s")?;
+        coefficients.extend(given.vector("turn", "rad_per_s")?);
+        Ok(Values::new([], coefficients))
     }
 
     fn is_of_run(&self) -> bool {

@@ -1,7 +1,7 @@
 //! The instrument or the base was knocked: a rigid motion between them from one time on.
 
 use super::frame_drift::{motion_names, world};
-use super::{Effect, Named, Scene, Site, Term};
+use super::{Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct FrameJump;
@@ -19,6 +19,14 @@ pub(super) fn step_times(scene: &Scene) -> Vec<Vec<f64>> {
 pub(super) fn step_reach(scene: &Scene) -> f64 {
     let (first, last) = scene.span_s();
     (last - first) / 100.0
+}
+
+/// The way back from the parameters of a motion at one time.
+pub(super) fn motion_at_a_time(given: &mut Given) -> Result<Values, InstanceError> {
+    let time = given.number("time_s")?;
+    let mut coefficients = given.vector("shift", "m")?;
+    coefficients.extend(given.vector("turn", "rad")?);
+    Ok(Values::new([time], coefficients))
 }
 
 impl Effect for FrameJump {
@@ -43,6 +51,14 @@ impl Effect for FrameJump {
         let mut named = vec![Named::new("time_s", shape[0])];
         named.extend(motion_names("shift m", "turn rad", coefficients));
         named
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().shape(1..=1).coefficients(6..=6)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        motion_at_a_time(given)
     }
 
     fn refine(&self, scene: &Scene, _: &[f64]) -> Vec<f64> {

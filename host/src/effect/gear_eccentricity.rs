@@ -2,7 +2,7 @@
 //!
 //! `Δq = amplitude · cos(harmonic · q + phase)`, as a cosine and a sine coefficient.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct GearEccentricity;
@@ -64,6 +64,16 @@ impl Effect for GearEccentricity {
             Named::new("phase_rad", libm::atan2(-b, a)),
             Named::new("harmonic", shape[0]),
         ]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint().shape(1..=1).coefficients(2..=2)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let (amplitude, phase) = (given.number("amplitude_rad")?, given.number("phase_rad")?);
+        let harmonic = given.positive("harmonic")?;
+        Ok(Values::new([harmonic], [amplitude * libm::cos(phase), -amplitude * libm::sin(phase)]))
     }
 
     fn refine(&self, scene: &Scene, _: &[f64]) -> Vec<f64> {

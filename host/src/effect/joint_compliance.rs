@@ -3,7 +3,7 @@
 //! Where robot.toml gives no masses, the torque is linear in the unknown first moments of what the joint carries: the
 //! coefficients are then compliance times moment, as many as the visits tell apart.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct JointCompliance;
@@ -24,17 +24,28 @@ impl Effect for JointCompliance {
                 .iter()
                 .map(torque)
                 .fold((f64::MAX, f64::MIN), |(low, high), torque| (low.min(torque), high.max(torque)));
-            high - low > LEAST_VARIATION || !scene.moments[*joint].is_empty()
+            high - low > LEAST_VARIATION || !scene.told_apart[*joint].is_empty()
         };
         (0..scene.chain.joint_count()).filter(varies).map(Site::joint).collect()
     }
 
-    fn terms(&self, scene: &Scene, site: &Site, _: &[f64]) -> Vec<Term> {
+    /// Where masses are unknown, which moments the run tells apart and the mean of each: another run may tell apart others,
+    /// and has other means.
+    fn shapes(&self, scene: &Scene, site: &Site) -> Vec<Vec<f64>> {
+        let Some(joint) = site.joint.filter(|_| !scene.masses_known) else { return vec![Vec::new()] };
+        vec![scene.told_apart[joint].iter().flat_map(|&(moment, mean)| [moment as f64, mean]).collect()]
+    }
+
+    fn terms(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Vec<Term> {
         let Some(joint) = site.joint else { return Vec::new() };
-        match scene.masses_known {
-            true => vec![vec![Acts::Joint(joint, scene.by_visit(|visit| visit.torques[joint]))]],
-            false => scene.moments[joint].iter().map(|amounts| vec![Acts::Joint(joint, amounts.clone())]).collect(),
+        if scene.masses_known {
+            return vec![vec![Acts::Joint(joint, scene.by_visit(|visit| visit.torques[joint]))]];
         }
+        let about_mean = |pair: &[f64]| {
+            let amounts = scene.moments[joint].get(pair[0] as usize)?;
+            Some(vec![Acts::Joint(joint, amounts.iter().map(|amount| amount - pair[1]).collect())])
+        };
+        shape.chunks_exact(2).filter_map(about_mean).collect()
     }
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
@@ -45,5 +56,15 @@ impl Effect for JointCompliance {
                 .map(|(number, value)| Named::new(format!("compliance_times_moment_{number}_rad"), *value))
                 .collect(),
         }
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint().shape(0..=usize::MAX).coefficients(1..=usize::MAX)
+    }
+
+    fn values(&self, scene: &Scene, site: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let number = |number| format!("compliance_times_moment_{number}_rad");
+        let coefficients = given.numbered("compliance_rad_per_nm", number)?;
+        Ok(Values::new(self.shapes(scene, site).swap_remove(0), coefficients))
     }
 }

@@ -1,6 +1,6 @@
 //! A joint that is moved along by another, as in a wrist with common gears: `Δq = ratio · q_from`.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct JointCoupling;
@@ -26,5 +26,13 @@ impl Effect for JointCoupling {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("ratio", coefficients[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().from().joint()
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([], [given.number("ratio")?]))
     }
 }

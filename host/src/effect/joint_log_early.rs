@@ -3,7 +3,7 @@
 //! `Δq = share · (previous q - q)`, or, where the file has both accounts of the joints, `Δq = share · (other - q)` with the
 //! account that is not believed.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct JointLogEarly;
@@ -43,7 +43,27 @@ impl Effect for JointLogEarly {
         vec![vec![Acts::Joint(joint, amounts)]]
     }
 
-    fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
-        vec![Named::new("share", coefficients[0])]
+    fn parameters(&self, _: &Site, shape: &[f64], coefficients: &[f64]) -> Vec<Named> {
+        let mut named = vec![Named::new("share", coefficients[0])];
+        if shape[0] == OTHER_ACCOUNT {
+            named.push(Named::new("other_account", OTHER_ACCOUNT));
+        }
+        named
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint().shape(1..=1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let share = given.number("share")?;
+        let account = given.optional("other_account")?.unwrap_or(BEFORE);
+        given.require("other_account", account, account == BEFORE || account == OTHER_ACCOUNT, "0 or 1")?;
+        Ok(Values::new([account], [share]))
+    }
+
+    fn lacks(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Option<&'static str> {
+        let other = shape[0] == OTHER_ACCOUNT && !site.joint.is_some_and(|joint| differs(scene, joint));
+        other.then_some("both accounts of the joints")
     }
 }

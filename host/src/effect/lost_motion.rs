@@ -1,6 +1,6 @@
 //! The gear's play taken up by the load: `Δq = amplitude · tanh(torque / scale)`.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct LostMotion;
@@ -37,6 +37,19 @@ impl Effect for LostMotion {
 
     fn parameters(&self, _: &Site, shape: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("amplitude_rad", coefficients[0]), Named::new("torque_scale_nm", shape[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint().shape(1..=1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let amplitude = given.number("amplitude_rad")?;
+        Ok(Values::new([given.positive("torque_scale_nm")?], [amplitude]))
+    }
+
+    fn lacks(&self, scene: &Scene, _: &Site, _: &[f64]) -> Option<&'static str> {
+        (!scene.masses_known).then_some("masses in robot.toml")
     }
 
     fn refine(&self, _: &Scene, shape: &[f64]) -> Vec<f64> {

@@ -9,14 +9,17 @@ mod acts;
 mod backlash;
 mod clock_offset;
 mod encoder_gain;
+mod form;
 mod frame_drift;
 mod frame_jump;
 mod gear_eccentricity;
+mod given;
 mod instance;
 mod joint_compliance;
 mod joint_coupling;
 mod joint_log_early;
 mod lost_motion;
+pub mod pattern;
 mod scale_error;
 mod scene;
 mod sensor_bias;
@@ -24,6 +27,7 @@ mod sensor_chill;
 mod sensor_detached;
 mod sensor_swap;
 mod site;
+mod sum;
 mod target_shift;
 mod thermal_growth;
 mod thermal_lag;
@@ -32,9 +36,12 @@ mod tool_slip;
 mod unsensed_heat;
 
 pub use acts::{Acts, Adjustment, tool_motion};
-pub use instance::{Instance, Named};
+pub use form::{Form, InstanceError};
+pub use given::Given;
+pub use instance::{Instance, Named, Readings, Values};
 pub use scene::{Growing, Scene, Seen, Sensed, Situation};
 pub use site::{Site, SiteNames};
+pub use sum::adjustments;
 
 /// What a unit of one coefficient adds at every visit: usually one act, several where it acts in several places.
 pub type Term = Vec<Acts>;
@@ -59,10 +66,32 @@ pub trait Effect: Sync {
     /// The parameters of the contract, from the shape and the coefficients.
     fn parameters(&self, site: &Site, shape: &[f64], coefficients: &[f64]) -> Vec<Named>;
 
+    /// What identifies an instance at such a place, and how many numbers it has.
+    fn form(&self, site: &Site) -> Form;
+
+    /// The way back from [`Effect::parameters`]: shape and coefficients from the parameters of the contract.
+    ///
+    /// # Errors
+    /// Parameters that are missing, or that have values they cannot have.
+    fn values(&self, scene: &Scene, site: &Site, given: &mut Given) -> Result<Values, InstanceError>;
+
     /// Whether it belongs to one run (a knock, a clock) and not to the arm: a model does not carry it to other runs.
     fn is_of_run(&self) -> bool {
         false
     }
+
+    /// The same for an effect of which some shapes belong to one run.
+    fn is_of_run_with(&self, _shape: &[f64]) -> bool {
+        self.is_of_run()
+    }
+
+    /// What this scene would need to have for the effect to be computed, in words; none where it has all.
+    fn lacks(&self, _scene: &Scene, _site: &Site, _shape: &[f64]) -> Option<&'static str> {
+        None
+    }
+
+    /// Puts into a log of true readings what the effect makes of them; most effects leave readings alone.
+    fn spoil(&self, _scene: &Scene, _instance: &Instance, _log: &mut [Readings]) {}
 
     /// Half-widths of a neighbourhood in which each nonlinear number may be refined from a point of the grid; zero where
     /// it must not move (a choice rather than a number).
@@ -126,7 +155,13 @@ pub fn catalogue() -> &'static [&'static dyn Effect] {
     ]
 }
 
-/// The effect of that name; none where the catalogue has none.
+/// The effect of that name, the pattern outside the catalogue among them; none where there is none.
 pub fn by_name(name: &str) -> Option<&'static dyn Effect> {
-    catalogue().iter().copied().find(|effect| effect.name() == name)
+    let pattern: &'static dyn Effect = &pattern::Pattern;
+    catalogue().iter().copied().chain([pattern]).find(|effect| effect.name() == name)
+}
+
+/// The names of the catalogue, for words.
+fn names() -> String {
+    catalogue().iter().map(|effect| effect.name()).collect::<Vec<_>>().join(", ")
 }

@@ -1,6 +1,6 @@
 //! An instrument whose metre is not a metre: coordinates scaled about it.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ScaleError;
@@ -20,5 +20,13 @@ impl Effect for ScaleError {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("scale", coefficients[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole()
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([], [given.number("scale")?]))
     }
 }

@@ -65,9 +65,11 @@ pub struct Scene {
     pub gear_ratios: Vec<Option<f64>>,
     /// Whether robot.toml gives masses, so that torques are known.
     pub masses_known: bool,
-    /// For each joint, torques by unit first moments (1 kg·m) of the masses that it carries, where masses are unknown:
-    /// visits by moments that these visits can tell apart.
+    /// For each joint, torques by unit first moments (1 kg·m) of the masses that it carries, where masses are unknown: three
+    /// moments a transform from 1 on, each with one amount a visit.
     pub moments: Vec<Vec<Vec<f64>>>,
+    /// For each joint, the moments that the run's visits tell apart, by place, and the mean of each over the run.
+    pub told_apart: Vec<Vec<(usize, f64)>>,
     /// From when drifts count, s since the run began: fixed, whatever visits are looked at.
     pub origin_s: f64,
     /// The visits in order of time.
@@ -76,6 +78,8 @@ pub struct Scene {
     pub sensors: Vec<Sensed>,
     /// What reads the air of the cell.
     pub air: Option<TemperatureSeries>,
+    /// From where the air's temperature counts, °C; none: its mean over the visits of the first cycle.
+    pub air_reference_c: Option<f64>,
     /// The thermal model as it stands.
     pub growth: Vec<Growing>,
     /// The schedule.
@@ -160,11 +164,13 @@ impl Scene {
             gear_ratios: joints.iter().map(|joint| joint.gear_ratio).collect(),
             chain,
             masses_known,
+            told_apart: moments.iter().map(|columns| independent(columns)).collect(),
             moments,
             origin_s: visits.first().map_or(0.0, |visit| visit.time_s),
             visits,
             sensors,
             air: run.description.ambient.as_deref().and_then(series),
+            air_reference_c: None,
             growth: Vec::new(),
             motion: run.motion.clone(),
             targets,
@@ -273,11 +279,16 @@ impl Scene {
         })
     }
 
-    /// What the air read at every visit, less its mean over the visits of the first cycle; none without an air sensor.
-    pub fn air_rises(&self) -> Option<Vec<f64>> {
+    /// What the air read at every visit.
+    fn air_c(&self) -> Option<Vec<Option<f64>>> {
         let air = self.air.as_ref()?;
+        Some(self.visits.iter().map(|visit| smooth(air, visit.time_s)).collect())
+    }
+
+    /// The mean of what the air read at the visits of the first cycle, °C; none without an air sensor.
+    pub fn air_at_first(&self) -> Option<f64> {
+        let values = self.air_c()?;
         let first = self.cycles().first().copied();
-        let values: Vec<Option<f64>> = self.visits.iter().map(|visit| smooth(air, visit.time_s)).collect();
         let cold: Vec<f64> = self
             .visits
             .iter()
@@ -285,7 +296,13 @@ impl Scene {
             .filter(|(visit, _)| Some(visit.cycle) == first)
             .filter_map(|(_, value)| *value)
             .collect();
-        let zero = cold.iter().sum::<f64>() / cold.len().max(1) as f64;
+        Some(cold.iter().sum::<f64>() / cold.len().max(1) as f64)
+    }
+
+    /// What the air read at every visit, less its reference; none without an air sensor.
+    pub fn air_rises(&self) -> Option<Vec<f64>> {
+        let values = self.air_c()?;
+        let zero = self.air_reference_c.or_else(|| self.air_at_first())?;
         Some(values.into_iter().map(|value| value.map_or(0.0, |value| value - zero)).collect())
     }
 
@@ -383,8 +400,7 @@ impl Lag {
     }
 }
 
-/// Torques about each joint by unit first moments of the links that it carries, reduced to the moments that the visits can
-/// tell apart (pivoted Gram-Schmidt over the visits).
+/// Torques about each joint by unit first moments of the links that it carries.
 fn moments(robot: &Robot, visits: &[Situation], values: &[f64]) -> Vec<Vec<Vec<f64>>> {
     let chain = robot.chain();
     let prepared = chain.prepare(values);
@@ -413,25 +429,28 @@ fn moments(robot: &Robot, visits: &[Situation], values: &[f64]) -> Vec<Vec<Vec<f
             }
         }
     }
-    raw.into_iter().map(independent).collect()
+    raw
 }
 
-/// A subset of columns that spans them all to a part in a million, less the constant.
-fn independent(mut columns: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    for column in &mut columns {
-        let mean = column.iter().sum::<f64>() / column.len().max(1) as f64;
-        column.iter_mut().for_each(|value| *value -= mean);
-    }
+/// A subset of columns that spans them all to a part in a thousand, less the constant, with the mean of each: pivoted
+/// Gram-Schmidt over the visits.
+fn independent(columns: &[Vec<f64>]) -> Vec<(usize, f64)> {
+    let means: Vec<f64> =
+        columns.iter().map(|column| column.iter().sum::<f64>() / column.len().max(1) as f64).collect();
     let norm = |column: &Vec<f64>| column.iter().map(|value| value * value).sum::<f64>().sqrt();
-    let scale = columns.iter().map(norm).fold(0.0, f64::max);
-    let mut rest = columns.clone();
+    let mut rest: Vec<Vec<f64>> = columns
+        .iter()
+        .zip(&means)
+        .map(|(column, mean)| column.iter().map(|value| value - mean).collect())
+        .collect();
+    let scale = rest.iter().map(norm).fold(0.0, f64::max);
     let mut kept = Vec::new();
     while let Some(best) = (0..rest.len()).max_by(|&a, &b| norm(&rest[a]).total_cmp(&norm(&rest[b]))) {
         let length = norm(&rest[best]);
         if length <= 1e-3 * scale || scale == 0.0 {
             break;
         }
-        kept.push(columns[best].clone());
+        kept.push((best, means[best]));
         let unit: Vec<f64> = rest[best].iter().map(|value| value / length).collect();
         for column in &mut rest {
             let along: f64 = column.iter().zip(&unit).map(|(a, b)| a * b).sum();

@@ -2,7 +2,7 @@
 //! rises count.
 
 use super::frame_jump::{step_reach, step_times};
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, Instance, InstanceError, Named, Readings, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct SensorBias;
@@ -13,6 +13,15 @@ pub(crate) const DRIFT: f64 = 1.0;
 
 /// Step times that are tried here: the readings themselves tell the time better.
 const EVERY: usize = 5;
+
+/// What the reading has too much at a time for a unit of the coefficient.
+fn excess(shape: &[f64], time_s: f64) -> f64 {
+    match shape[0] {
+        DRIFT => (time_s - shape[1]) / 3600.0,
+        _ if time_s >= shape[1] => 1.0,
+        _ => 0.0,
+    }
+}
 
 impl Effect for SensorBias {
     fn name(&self) -> &'static str {
@@ -31,11 +40,7 @@ impl Effect for SensorBias {
     fn terms(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Vec<Term> {
         let Some(&sensor) = site.sensors.first() else { return Vec::new() };
         // What the reading has too much, the body has not.
-        let amounts = scene.by_visit(|visit| match shape[0] {
-            DRIFT => -(visit.time_s - shape[1]) / 3600.0,
-            _ if visit.time_s >= shape[1] => -1.0,
-            _ => 0.0,
-        });
+        let amounts = scene.by_visit(|visit| -excess(shape, visit.time_s));
         vec![vec![Acts::Reading(sensor, amounts)]]
     }
 
@@ -43,6 +48,27 @@ impl Effect for SensorBias {
         match shape[0] {
             DRIFT => vec![Named::new("drift_k_per_h", coefficients[0])],
             _ => vec![Named::new("time_s", shape[1]), Named::new("step_k", coefficients[0])],
+        }
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().sensors(1).shape(2..=2)
+    }
+
+    fn values(&self, scene: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        if let Some(drift) = given.optional("drift_k_per_h")? {
+            return Ok(Values::new([DRIFT, scene.span_s().0], [drift]));
+        }
+        let step = given.number("step_k")?;
+        Ok(Values::new([STEP, given.number("time_s")?], [step]))
+    }
+
+    fn spoil(&self, scene: &Scene, instance: &Instance, log: &mut [Readings]) {
+        let Some(&sensor) = instance.site.sensors.first() else { return };
+        for readings in log.iter_mut().filter(|readings| readings.sensor == scene.sensors[sensor].name) {
+            for (time, celsius) in readings.times_s.iter().zip(&mut readings.celsius) {
+                *celsius += instance.coefficients[0] * excess(&instance.shape, *time);
+            }
         }
     }
 

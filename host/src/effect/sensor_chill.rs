@@ -3,7 +3,7 @@
 //! The reading errs by `-depth · x` with `x` following motion (1) and rest (0) through a first-order lag; the body's rise is
 //! what was read plus that depth.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, Instance, InstanceError, Named, Readings, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct SensorChill;
@@ -35,6 +35,29 @@ impl Effect for SensorChill {
 
     fn parameters(&self, _: &Site, shape: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("depth_k", coefficients[0]), Named::new("tau_s", shape[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().sensors(1).shape(1..=1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let depth = given.number("depth_k")?;
+        Ok(Values::new([given.positive("tau_s")?], [depth]))
+    }
+
+    fn lacks(&self, scene: &Scene, _: &Site, _: &[f64]) -> Option<&'static str> {
+        scene.motion.is_empty().then_some("motion.csv")
+    }
+
+    fn spoil(&self, scene: &Scene, instance: &Instance, log: &mut [Readings]) {
+        let Some(&sensor) = instance.site.sensors.first() else { return };
+        for readings in log.iter_mut().filter(|readings| readings.sensor == scene.sensors[sensor].name) {
+            let stirred = scene.stirred_at(instance.shape[0], &readings.times_s);
+            for (celsius, stirred) in readings.celsius.iter_mut().zip(stirred) {
+                *celsius -= instance.coefficients[0] * stirred;
+            }
+        }
     }
 
     fn refine(&self, _: &Scene, shape: &[f64]) -> Vec<f64> {

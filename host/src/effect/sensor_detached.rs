@@ -3,7 +3,7 @@
 //! Reading = (1 - share) · body + share · air, so the body is what was read plus `share / (1 - share)` times what the
 //! reading is above the air.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, Instance, InstanceError, Named, Readings, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct SensorDetached;
@@ -25,6 +25,32 @@ impl Effect for SensorDetached {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("air_share", coefficients[0] / (1.0 + coefficients[0]))]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().sensors(1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let share = given.number("air_share")?;
+        given.require("air_share", share, (0.0..1.0).contains(&share), "a share from 0 to below 1")?;
+        Ok(Values::new([], [share / (1.0 - share)]))
+    }
+
+    fn lacks(&self, scene: &Scene, _: &Site, _: &[f64]) -> Option<&'static str> {
+        scene.air.is_none().then_some("a sensor of the air")
+    }
+
+    fn spoil(&self, scene: &Scene, instance: &Instance, log: &mut [Readings]) {
+        let (Some(&sensor), Some(air)) = (instance.site.sensors.first(), &scene.air) else { return };
+        let share = instance.coefficients[0] / (1.0 + instance.coefficients[0]);
+        for readings in log.iter_mut().filter(|readings| readings.sensor == scene.sensors[sensor].name) {
+            for (time, celsius) in readings.times_s.iter().zip(&mut readings.celsius) {
+                if let Some(air_c) = air.at(*time, f64::INFINITY).celsius() {
+                    *celsius += share * (air_c - *celsius);
+                }
+            }
+        }
     }
 
     fn of_readings(&self) -> bool {

@@ -1,6 +1,6 @@
 //! Two sensors that carry each other's names.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, Instance, InstanceError, Named, Readings, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct SensorSwap;
@@ -31,6 +31,24 @@ impl Effect for SensorSwap {
 
     fn parameters(&self, _: &Site, _: &[f64], _: &[f64]) -> Vec<Named> {
         Vec::new()
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().sensors(2)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, _: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([], [1.0]))
+    }
+
+    fn spoil(&self, scene: &Scene, instance: &Instance, log: &mut [Readings]) {
+        let [one, other] = instance.site.sensors[..] else { return };
+        let names = [&scene.sensors[one].name, &scene.sensors[other].name];
+        for readings in log.iter_mut() {
+            if let Some(place) = names.iter().position(|name| **name == readings.sensor) {
+                readings.sensor = names[1 - place].clone();
+            }
+        }
     }
 
     fn of_readings(&self) -> bool {

@@ -97,6 +97,24 @@ pub struct SiteNames {
     pub targets: Vec<String>,
 }
 
+impl std::fmt::Display for SiteNames {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut words = Vec::new();
+        match (self.from, self.joint) {
+            (Some(from), Some(joint)) => words.push(format!("from joint {from} to joint {joint}")),
+            (_, Some(joint)) => words.push(format!("joint {joint}")),
+            _ => {}
+        }
+        words.extend([&self.parameter, &self.sensor, &self.target].into_iter().flatten().cloned());
+        for many in [&self.sensors, &self.targets] {
+            if !many.is_empty() {
+                words.push(many.join(" and "));
+            }
+        }
+        f.write_str(&words.join(", "))
+    }
+}
+
 impl SiteNames {
     /// Back to indices; `None` where a name is not known to the arm or the run.
     pub fn site(&self, chain: &Chain, sensors: &[String], targets: &[String]) -> Option<Site> {

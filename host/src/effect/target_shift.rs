@@ -2,7 +2,7 @@
 
 use super::frame_drift::AXES;
 use super::frame_jump::{step_reach, step_times};
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct TargetShift;
@@ -36,6 +36,16 @@ impl Effect for TargetShift {
         let mut named = vec![Named::new("time_s", shape[0])];
         named.extend(AXES.iter().zip(coefficients).map(|(axis, value)| Named::new(format!("shift_{axis}_m"), *value)));
         named
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().targets(1).shape(1..=1).coefficients(3..=3)
+    }
+
+    fn values(&self, scene: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        // For the whole run where no time is given.
+        let time = given.optional("time_s")?.unwrap_or(scene.span_s().0);
+        Ok(Values::new([time], given.vector("shift", "m")?))
     }
 
     fn refine(&self, scene: &Scene, shape: &[f64]) -> Vec<f64> {

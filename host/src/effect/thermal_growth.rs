@@ -3,7 +3,7 @@
 //! `Δk = coefficient · rise` of one sensor, or of the mean of a link's sensors: what the sensors of a link say apart from each
 //! other is hardly more than their noise.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ThermalGrowth;
@@ -59,5 +59,26 @@ impl Effect for ThermalGrowth {
             Named::new("link", shape[0]),
             Named::new("sensor_of_link", shape[1]),
         ]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().parameter().shape(2..=2)
+    }
+
+    fn values(&self, scene: &Scene, site: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let coefficient = given.number("coefficient")?;
+        // Without a word about it, the link that the parameter belongs to.
+        let own = site.parameter.map_or(0, |place| scene.chain.parameters()[place].transform);
+        let link = given.optional("link")?.unwrap_or(own as f64);
+        let sensors = scene.sensors_of(link as usize).len();
+        given.require("link", link, sensors > 0, "a link with sensors")?;
+        let sensor = given.optional("sensor_of_link")?.unwrap_or(MEAN);
+        given.require("sensor_of_link", sensor, (0..=sensors).any(|one| one as f64 == sensor), "a sensor of the link")?;
+        Ok(Values::new([link, sensor], [coefficient]))
+    }
+
+    fn lacks(&self, scene: &Scene, _: &Site, shape: &[f64]) -> Option<&'static str> {
+        let sensors = scene.sensors_of(shape[0] as usize).len();
+        (sensors == 0 || shape[1] > sensors as f64).then_some("the sensors that it follows")
     }
 }

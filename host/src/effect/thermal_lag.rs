@@ -3,7 +3,7 @@
 //! `Δk = Σ coefficient · (lagged rise - rise)` with the model's own coefficients: the coefficient of this term is one when
 //! the lag is right, and is fitted so that its size tells whether it is there at all.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ThermalLag;
@@ -38,6 +38,19 @@ impl Effect for ThermalLag {
 
     fn parameters(&self, _: &Site, shape: &[f64], _: &[f64]) -> Vec<Named> {
         vec![Named::new("tau_s", shape[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().parameter().shape(1..=1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([given.positive("tau_s")?], [1.0]))
+    }
+
+    fn lacks(&self, scene: &Scene, site: &Site, _: &[f64]) -> Option<&'static str> {
+        let mut own = scene.growth.iter().filter(|growing| site.parameter == Some(growing.parameter));
+        own.any(|growing| scene.sensors[growing.sensor].series.times_s().is_empty()).then_some("the temperature log")
     }
 
     fn refine(&self, _: &Scene, shape: &[f64]) -> Vec<f64> {

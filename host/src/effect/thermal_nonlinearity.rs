@@ -1,6 +1,6 @@
 //! A parameter that follows a temperature by more than a straight line: `Δk = coefficient · rise²`.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ThermalNonlinearity;
@@ -22,5 +22,13 @@ impl Effect for ThermalNonlinearity {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("coefficient", coefficients[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().parameter().sensors(1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        Ok(Values::new([], [given.number("coefficient")?]))
     }
 }

@@ -1,8 +1,8 @@
 //! The tool slipped on the flange: all targets move rigidly in the flange frame at one time.
 
 use super::frame_drift::motion_names;
-use super::frame_jump::{step_reach, step_times};
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::frame_jump::{motion_at_a_time, step_reach, step_times};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct ToolSlip;
@@ -31,6 +31,14 @@ impl Effect for ToolSlip {
         let mut named = vec![Named::new("time_s", shape[0])];
         named.extend(motion_names("shift m", "turn rad", coefficients));
         named
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().shape(1..=1).coefficients(6..=6)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        motion_at_a_time(given)
     }
 
     fn refine(&self, scene: &Scene, _: &[f64]) -> Vec<f64> {

@@ -1,6 +1,6 @@
 //! Heat that no sensor sees: a parameter follows a joint's mean squared speed through a first-order lag.
 
-use super::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// The effect.
 pub struct UnsensedHeat;
@@ -38,6 +38,19 @@ impl Effect for UnsensedHeat {
 
     fn parameters(&self, _: &Site, shape: &[f64], coefficients: &[f64]) -> Vec<Named> {
         vec![Named::new("coefficient", coefficients[0]), Named::new("tau_s", shape[0])]
+    }
+
+    fn form(&self, _: &Site) -> Form {
+        Form::whole().joint().parameter().shape(1..=1)
+    }
+
+    fn values(&self, _: &Scene, _: &Site, given: &mut Given) -> Result<Values, InstanceError> {
+        let coefficient = given.number("coefficient")?;
+        Ok(Values::new([given.positive("tau_s")?], [coefficient]))
+    }
+
+    fn lacks(&self, scene: &Scene, _: &Site, _: &[f64]) -> Option<&'static str> {
+        scene.motion.is_empty().then_some("motion.csv")
     }
 
     fn refine(&self, _: &Scene, shape: &[f64]) -> Vec<f64> {

@@ -6,6 +6,7 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::extended_file::ExtendedEntry;
 use super::geometry::{Geometry, Growth, Model, ParameterEstimate, ReferenceTemperature};
 use crate::input::InputError;
 use crate::robot::{Chain, ParameterId, Robot};
@@ -30,6 +31,8 @@ struct ModelFile {
     thermal_coefficients: Vec<GrowthEntry>,
     temperatures: Vec<TemperatureEntry>,
     estimates: Vec<EstimateEntry>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    extended: Option<ExtendedEntry>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -168,6 +171,7 @@ impl Model {
             thermal_coefficients: growth.collect(),
             temperatures: temperatures.collect(),
             estimates: estimates.collect(),
+            extended: self.extended.as_ref().map(|extended| ExtendedEntry::of(extended, &self.robot)),
         };
         // Strings and finite numbers in plain structures: JSON has no reason to refuse them.
         let mut text = serde_json::to_string_pretty(&content).expect("a model is plain JSON");
@@ -253,21 +257,25 @@ fn from_file(file: &Path, content: ModelFile, robot: Robot) -> Result<Model, Inp
             Ok(Growth { parameter, sensor: entry.sensor.clone(), coefficient: entry.value, sigma: entry.sigma })
         })
         .collect::<Result<Vec<_>, InputError>>()?;
+    let reference = geometry(|entry| entry.value, |entry| entry.position, |entry| entry.position);
+    let temperatures: Vec<ReferenceTemperature> = content
+        .temperatures
+        .iter()
+        .map(|entry| ReferenceTemperature {
+            sensor: entry.sensor.clone(),
+            celsius: entry.reference_c,
+            lowest: entry.lowest_c,
+            highest: entry.highest_c,
+        })
+        .collect();
+    let extended = content.extended.map(|entry| entry.read(file, &robot, &reference, &temperatures)).transpose()?;
     Ok(Model {
+        extended,
         nominal: geometry(|entry| entry.aligned, |entry| entry.aligned, |entry| entry.aligned),
         geometric: geometry(|entry| entry.geometric, |entry| entry.geometric, |entry| entry.geometric),
-        reference: geometry(|entry| entry.value, |entry| entry.position, |entry| entry.position),
+        reference,
         growth,
-        temperatures: content
-            .temperatures
-            .iter()
-            .map(|entry| ReferenceTemperature {
-                sensor: entry.sensor.clone(),
-                celsius: entry.reference_c,
-                lowest: entry.lowest_c,
-                highest: entry.highest_c,
-            })
-            .collect(),
+        temperatures,
         anchors: content.anchors.iter().map(|entry| entry.name.clone()).collect(),
         estimates: content
             .estimates

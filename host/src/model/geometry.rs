@@ -2,6 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::extended::Extended;
 use crate::robot::{Chain, Frame, ParameterId, Posture, Robot};
 
 /// Values for everything that does not change with temperature: the chain's parameters and the places of what is measured.
@@ -82,6 +83,8 @@ pub enum Level {
     Geometric,
     /// With the thermal correction.
     Thermal,
+    /// With the effects that discovery found; the same as thermal where there are none.
+    Extended,
 }
 
 /// A calibrated arm.
@@ -103,6 +106,8 @@ pub struct Model {
     pub anchors: Vec<String>,
     /// What was found, with its uncertainty.
     pub estimates: Vec<ParameterEstimate>,
+    /// What discovery added; none where nothing was found, or nothing was looked for.
+    pub extended: Option<Extended>,
 }
 
 impl Model {
@@ -112,6 +117,7 @@ impl Model {
             Level::Nominal => &self.nominal,
             Level::Geometric => &self.geometric,
             Level::Thermal => &self.reference,
+            Level::Extended => self.extended.as_ref().map_or(&self.reference, |extended| &extended.geometry),
         }
     }
 
@@ -121,23 +127,41 @@ impl Model {
     }
 
     /// The chain's parameters at a level and at temperatures in the order of [`Model::sensors`], degrees Celsius; a
-    /// temperature that is missing counts as the reference.
+    /// temperature that is missing counts as the reference. At the extended level these are the values that the effects
+    /// come on top of: effects follow from a run's history, see [`Model::effects_in`].
     pub fn parameters_at(&self, level: Level, chain: &Chain, celsius: &[Option<f64>]) -> Vec<f64> {
         let mut values = self.geometry(level).parameters.clone();
         if level < Level::Thermal {
             return values;
         }
-        for growth in &self.growth {
-            let rise = self.temperatures.iter().zip(celsius).find(|(reference, _)| reference.sensor == growth.sensor);
-            if let (Some((reference, Some(celsius))), Some(place)) = (rise, chain.place(growth.parameter)) {
-                values[place] += growth.coefficient * (celsius - reference.celsius);
+        for (parameter, sensor, coefficient) in self.growth_at(level) {
+            let rise = self.temperatures.iter().zip(celsius).find(|(reference, _)| reference.sensor == sensor);
+            if let (Some((reference, Some(celsius))), Some(place)) = (rise, chain.place(parameter)) {
+                values[place] += coefficient * (celsius - reference.celsius);
             }
         }
         values
     }
 
+    /// The thermal coefficients of a level: parameter, sensor, m/K or rad/K.
+    pub fn growth_at(&self, level: Level) -> Vec<(ParameterId, &str, f64)> {
+        match (level, &self.extended) {
+            (Level::Nominal | Level::Geometric, _) => Vec::new(),
+            (Level::Extended, Some(extended)) => extended
+                .growth
+                .iter()
+                .map(|growth| (growth.parameter, growth.sensor.as_str(), growth.coefficient))
+                .collect(),
+            (Level::Thermal | Level::Extended, _) => self
+                .growth
+                .iter()
+                .map(|growth| (growth.parameter, growth.sensor.as_str(), growth.coefficient))
+                .collect(),
+        }
+    }
+
     /// The flange in the world frame at joint positions (radians, metres) and temperatures in the order of
-    /// [`Model::sensors`].
+    /// [`Model::sensors`], without effects.
     pub fn flange(&self, level: Level, joints: &[f64], celsius: &[Option<f64>]) -> Frame {
         let chain = self.robot.chain();
         chain.prepare(&self.parameters_at(level, &chain, celsius)).flange(&Posture::new(joints))

@@ -4,7 +4,7 @@
 //! A pattern competes with the catalogue in the search, with a handicap: without it, whatever hides outside the catalogue
 //! would be given the name of what resembles it most.
 
-use crate::effect::{Acts, Effect, Named, Scene, Site, Term};
+use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
 /// A product of covariates acting on a joint, a parameter or the base. It has no name in the catalogue.
 pub struct Pattern;
@@ -63,7 +63,8 @@ fn times(a: Vec<f64>, b: Vec<f64>) -> Vec<f64> {
 }
 
 fn amounts(scene: &Scene, joint: usize, shape: &[f64]) -> Vec<f64> {
-    let of = |place: usize| shape[place] as usize;
+    // A model file may name any joint.
+    let of = |place: usize| (shape[place] as usize).min(scene.chain.joint_count().saturating_sub(1));
     let angle = |joint: usize| scene.by_visit(|visit| visit.joints[joint]);
     let two = |f: &dyn Fn(f64, f64) -> f64| scene.by_visit(|visit| f(visit.joints[of(1)], visit.joints[of(2)]));
     match shape[0] {
@@ -187,6 +188,31 @@ impl Effect for Pattern {
 
     fn parameters(&self, _: &Site, _: &[f64], coefficients: &[f64]) -> Vec<Named> {
         (1..).zip(coefficients).map(|(n, value)| Named::new(format!("coefficient_{n}"), *value)).collect()
+    }
+
+    fn form(&self, site: &Site) -> Form {
+        let form = Form::whole().shape(3..=3);
+        match (site.joint, site.parameter) {
+            (Some(_), _) => form.joint(),
+            (None, Some(_)) => form.parameter(),
+            (None, None) => form.coefficients(6..=6),
+        }
+    }
+
+    fn values(&self, _: &Scene, _: &Site, _: &mut Given) -> Result<Values, InstanceError> {
+        Err(InstanceError::OfModelsAlone(self.name()))
+    }
+
+    fn is_of_run_with(&self, shape: &[f64]) -> bool {
+        [kind::TIME, kind::WAVE, kind::ANGLE_TIME].contains(&shape[0])
+    }
+
+    fn lacks(&self, scene: &Scene, _: &Site, shape: &[f64]) -> Option<&'static str> {
+        let rises = [kind::ANGLE_RISE, kind::TORQUE_RISE, kind::DIRECTION_RISE].contains(&shape[0]);
+        if rises && scene.sensors_of(shape[2] as usize).is_empty() {
+            return Some("the sensors that it follows");
+        }
+        (shape[0] == kind::AIR && scene.air.is_none()).then_some("a sensor of the air")
     }
 }
 
