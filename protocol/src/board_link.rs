@@ -9,16 +9,13 @@ use crate::message::{
     Battery, BoardMessage, Counters, Health, HostMessage, Identity, Reading, Report, Sensor, Settings, Signal, TimeEcho,
 };
 use crate::outbox::{Outbox, Pace};
+use crate::patience::Patience;
 use crate::replay::ReplayGuard;
 use crate::seal::{self, MAX_MESSAGE, Refused};
 use crate::{Key, MAX_BATCH, MAX_DATAGRAM, MAX_SENSORS, SCHEMA_VERSION};
 
 /// The most bytes of a report, its records aside; a test holds this against the largest report.
 const REPORT_OVERHEAD: usize = 140;
-/// The wait for an acknowledgement before a record is sent again; it doubles while none comes.
-const RESEND_US: u64 = 1_000_000;
-/// The wait doubles up to 2^3 times.
-const MAX_DOUBLINGS: u32 = 3;
 /// After this long without any answer a board is alone: it probes, one datagram a wait.
 const ALONE_US: u64 = 10_000_000;
 /// A report is sent this often even if there are no records.
@@ -70,7 +67,7 @@ pub struct BoardLink<const RECORDS: usize, const SENSORS: usize = MAX_SENSORS, O
     heard_us: Option<u64>,
     sent_us: Option<u64>,
     backlog_us: Option<u64>,
-    doublings: u32,
+    patience: Patience,
     refused: u32,
     host_version: Option<u8>,
     battery: Battery,
@@ -129,7 +126,7 @@ where
             heard_us: None,
             sent_us: None,
             backlog_us: None,
-            doublings: 0,
+            patience: Patience::default(),
             refused: 0,
             host_version: None,
             battery: Battery::NotMeasured,
@@ -187,7 +184,7 @@ where
             if self.sent_us.is_some_and(|sent| now_us.saturating_sub(sent) < pace.resend_after_us) {
                 return None;
             }
-            self.doublings = (self.doublings + 1).min(MAX_DOUBLINGS);
+            self.patience.lose();
             let index = match live {
                 0 => self.outbox().backlog(pace),
                 _ => Some(from_live),
@@ -203,7 +200,7 @@ where
             let resends = self.outbox().resends();
             let batch = self.outbox.borrow_mut().batch(index, &self.sensors, bytes, pace);
             if self.outbox().resends() > resends {
-                self.doublings = (self.doublings + 1).min(MAX_DOUBLINGS);
+                self.patience.lose();
             }
             batch
         } else if self.sent_us.is_none_or(|sent| now_us.saturating_sub(sent) >= HEARTBEAT_US) {
@@ -245,7 +242,7 @@ where
 
     /// The time at which [`BoardLink::poll`] next has something to send, if nothing else happens; it may have passed.
     pub fn next_poll_us(&self, now_us: u64) -> u64 {
-        let wait = self.resend_after_us();
+        let wait = self.resend_after_us(now_us);
         let Some(sent) = self.sent_us else {
             return now_us;
         };
@@ -302,10 +299,12 @@ where
         if settings_changed {
             self.settings = answer.settings;
         }
-        let released = self.outbox.borrow_mut().acknowledge(&answer.acknowledgement);
-        if released > 0 || was_alone {
-            self.doublings = 0;
+        if was_alone {
+            self.patience.find();
         }
+        let patience = &mut self.patience;
+        self.outbox.borrow().latencies(&answer.acknowledgement, now_us, |latency_us| patience.hear(latency_us));
+        let released = self.outbox.borrow_mut().acknowledge(&answer.acknowledgement);
         Ok(Heard { released, settings_changed })
     }
 
@@ -313,12 +312,12 @@ where
         now_us.saturating_sub(self.heard_us.unwrap_or(self.started_us)) >= ALONE_US
     }
 
-    fn resend_after_us(&self) -> u64 {
-        RESEND_US << self.doublings
+    fn resend_after_us(&self, now_us: u64) -> u64 {
+        if self.is_alone(now_us) { self.patience.wait_alone_us() } else { self.patience.wait_us() }
     }
 
     fn pace(&self, now_us: u64) -> Pace {
-        Pace { now_us, resend_after_us: self.resend_after_us() }
+        Pace { now_us, resend_after_us: self.resend_after_us(now_us) }
     }
 
     /// When the live records are due: at once when a batch is full, else when its last record should have been taken.

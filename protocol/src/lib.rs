@@ -30,8 +30,9 @@
 //! an open gap.
 //!
 //! **Order of sending.** The newest records go first; what has waited (never sent, or sent and not acknowledged in time)
-//! follows at a pace set by the acknowledgements, with a bounded number in flight. A board that hears nobody falls back
-//! to one probe at a time.
+//! follows at a pace set by the acknowledgements, with a bounded number in flight. How long a board waits before it sends
+//! again follows the latency of the acknowledgements and its spread (RFC 6298), from 0.5 to 60 seconds, and doubles with
+//! each wait in vain. A board that hears nobody falls back to one probe at a time, at most 8 seconds apart.
 //!
 //! # What the board must guarantee
 //!
@@ -74,6 +75,7 @@ mod inbox;
 mod key;
 mod message;
 mod outbox;
+mod patience;
 mod replay;
 pub mod seal;
 mod sequence_set;

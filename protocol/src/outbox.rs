@@ -40,11 +40,14 @@ struct Held<const SENSORS: usize> {
     boot: u16,
     /// Two bits a reading, the first in the lowest: its variant.
     variants: u16,
-    /// How many readings it has.
+    /// How many readings it has, and [`SENT_TWICE`].
     readings: u8,
     /// The counts of each reading; zero where it has none.
     counts: [i16; SENSORS],
 }
+
+/// The bit that a record has once it was sent more often than once: its acknowledgement then tells no latency.
+const SENT_TWICE: u8 = 0x80;
 
 /// About a millisecond, so that 32 bits last for 50 days.
 const SENT_UNIT_US: u64 = 1 << 10;
@@ -137,7 +140,24 @@ impl<const RECORDS: usize, const SENSORS: usize> Outbox<RECORDS, SENSORS> {
     /// Makes all records unsent: their times of sending were on the clock of an earlier boot.
     pub(crate) fn resume(&mut self) {
         for held in &mut self.held {
+            held.note_resend();
             held.sent = None;
+        }
+    }
+
+    /// Calls `each` with the latency, in microseconds, of every datagram whose records an acknowledgement covers and that
+    /// were sent in no other: how long ago it was sent.
+    pub(crate) fn latencies(&self, acknowledgement: &Acknowledgement, now_us: u64, mut each: impl FnMut(u64)) {
+        if acknowledgement.store != self.store {
+            return;
+        }
+        let mut last = None;
+        for held in self.held.iter().filter(|held| held.readings & SENT_TWICE == 0) {
+            // Records that were sent together have one time, and lie together.
+            if held.sent.is_some() && held.sent != last && acknowledgement.covers(self.sequence(held)) {
+                last = held.sent;
+                each(now_us.saturating_sub(held.sent_us().unwrap_or(now_us)));
+            }
         }
     }
 
@@ -268,7 +288,7 @@ impl<const SENSORS: usize> Held<SENSORS> {
     }
 
     fn record(&self, next: u64) -> Record {
-        let counts = self.counts.iter().take(usize::from(self.readings)).enumerate();
+        let counts = self.counts.iter().take(usize::from(self.readings & !SENT_TWICE)).enumerate();
         let readings = counts.map(|(index, &counts)| match self.variants >> (2 * index) & 3 {
             0 => Reading::Ok(counts),
             1 => Reading::Absent,
@@ -282,7 +302,14 @@ impl<const SENSORS: usize> Held<SENSORS> {
         self.sent.map(|sent| u64::from(sent.get()) * SENT_UNIT_US)
     }
 
+    fn note_resend(&mut self) {
+        if self.sent.is_some() {
+            self.readings |= SENT_TWICE;
+        }
+    }
+
     fn send(&mut self, now_us: u64) {
+        self.note_resend();
         self.sent = NonZeroU32::new((now_us.div_ceil(SENT_UNIT_US) as u32).max(1));
     }
 

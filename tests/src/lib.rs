@@ -1,1 +1,3 @@
-//! Shared pieces of the tests that cross crates.
+//! Shared pieces of the tests that cross crates, and the yardstick of discovery: [`hidden`].
+
+pub mod hidden;

@@ -1,7 +1,7 @@
 //! What the fuzz targets and the test of their corpus do with arbitrary bytes.
 
 use thermokin_protocol::{
-    BoardLink, Direction, Firmware, HEADER_LENGTH, Header, HostLink, Identity, Inbox, Key, Kind, MAX_DATAGRAM,
+    BoardLink, Direction, Firmware, HEADER_LENGTH, Header, HostLink, Identity, Inbox, Key, Kind, MAX_DATAGRAM, Reading,
     ReplayGuard, ResetReason, SCHEMA_VERSION, Sensor, SensorKind, Settings, seal,
 };
 
@@ -31,20 +31,35 @@ fn sealed(direction: Direction, epoch: u32, bytes: &[u8]) -> Vec<u8> {
     buffer[..length].to_vec()
 }
 
-/// What the fuzz target `message` does with its input: the bytes come sealed, as from a board or host gone wrong.
+/// What the fuzz target `message` does with its input: the bytes come sealed, as from a board or host gone wrong, to ends
+/// that have something in their windows.
 pub fn message(bytes: &[u8]) {
     let mut host: HostLink<4> = HostLink::new(3, key(), 1, ReplayGuard::default(), Inbox::default());
-    if let Ok(received) = host.open(&mut sealed(Direction::ToHost, 5, bytes)) {
-        let _ = host.inbox_mut().accept(&received.report.batch, |_| {});
-        let _ = host.inbox_mut().acknowledgement();
+    // The second time it is a message of a later boot, which meets what the first left behind.
+    for boot in [5, 6] {
+        if let Ok(received) = host.open(&mut sealed(Direction::ToHost, boot, bytes)) {
+            let _ = host.inbox_mut().accept(&received.report.batch, |_| {});
+            host.inbox_mut().begin_commit();
+            host.inbox_mut().finish_commit();
+            let _ = host.inbox_mut().acknowledgement();
+        }
     }
     let identity =
         Identity { firmware: Firmware { major: 0, minor: 1, patch: 0 }, reset: ResetReason::PowerOn, capacity: 0 };
     let sensors = [Sensor { address: 0x48, kind: SensorKind::Max30205 }];
     let mut board: BoardLink<8> = BoardLink::new(3, key(), 5, identity, &sensors, Settings::default(), 0);
-    if board.receive(0, &mut sealed(Direction::ToBoard, 1, bytes)).is_ok() {
-        let mut buffer = [0; MAX_DATAGRAM];
-        let _ = board.poll(1, &mut buffer);
-        let _ = board.next_poll_us(2);
+    let mut buffer = [0; MAX_DATAGRAM];
+    // Some records are thinned out, some are under way and some are not when the message comes.
+    for second in 0..12 {
+        board.record(second * 1_000_000, &[Reading::Ok(5000)]);
+        if second < 10 {
+            while board.poll(second * 1_000_000, &mut buffer).is_some() {}
+        }
+    }
+    let held = board.outbox().len();
+    if let Ok(heard) = board.receive(11_000_000, &mut sealed(Direction::ToBoard, 1, bytes)) {
+        assert_eq!(board.outbox().len() + heard.released, held);
+        while board.poll(11_000_001, &mut buffer).is_some() {}
+        let _ = board.next_poll_us(11_000_002);
     }
 }
