@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 
 use super::heat::follow;
 use super::kind::{Kind, Place};
-use super::world::{Influence, Point, World, above_reference, less_reference};
+use super::world::{Influence, Point, World, less_reference};
 
 /// One hidden effect.
 #[derive(Debug, Clone, PartialEq)]
@@ -185,11 +185,6 @@ pub fn basis(world: &World, kind: Kind, place: &Place, shape: &[f64]) -> Vec<Inf
             vec![Influence { world, ..Influence::default() }]
         }
     }
-}
-
-/// Above-reference values of a quantity of time at all points.
-pub fn of_time(world: &World, signal: impl Fn(f64) -> f64) -> Vec<f64> {
-    above_reference(&world.schedule, &world.points, signal)
 }
 
 fn unit(axis: usize) -> Vector3<f64> {

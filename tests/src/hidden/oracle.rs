@@ -50,6 +50,11 @@ impl Basis {
         rest
     }
 
+    /// Its columns.
+    pub fn into_columns(self) -> Vec<DVector<f64>> {
+        self.columns
+    }
+
     /// Its dimension.
     pub fn len(&self) -> usize {
         self.columns.len()
@@ -58,11 +63,6 @@ impl Basis {
     /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.columns.is_empty()
-    }
-
-    /// The squared length of a column's part within the basis.
-    pub fn within(&self, column: &DVector<f64>) -> f64 {
-        self.columns.iter().map(|q| q.dot(column)).map(|along| along * along).sum()
     }
 }
 
