@@ -70,12 +70,7 @@ fn chance(ln_p: f64) -> f64 {
 }
 
 fn say_finding(finding: &Finding) {
-    println!(
-        "\n{} {} (chance in noise {:.1e})",
-        finding.effect.replace('_', " "),
-        finding.place,
-        chance(finding.ln_p)
-    );
+    println!("\n{} {} (chance in noise {:.1e})", finding.effect.replace('_', " "), finding.place, chance(finding.ln_p));
     for estimate in &finding.parameters {
         println!("  {:<28} {:+.4e}  [{:+.4e}, {:+.4e}]", estimate.name, estimate.value, estimate.low, estimate.high);
     }

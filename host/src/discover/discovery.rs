@@ -11,6 +11,7 @@ use super::readings::{ReadingFault, examine};
 use super::search::{Search, is_pattern, search};
 use super::stage::{Point, Stage, errors};
 use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate};
+use crate::effect::pattern;
 use crate::effect::{Instance, Scene, Seen, SiteNames};
 use crate::model::{ErrorTally, Errors};
 use crate::robot::Robot;

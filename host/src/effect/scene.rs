@@ -438,11 +438,8 @@ fn independent(columns: &[Vec<f64>]) -> Vec<(usize, f64)> {
     let means: Vec<f64> =
         columns.iter().map(|column| column.iter().sum::<f64>() / column.len().max(1) as f64).collect();
     let norm = |column: &Vec<f64>| column.iter().map(|value| value * value).sum::<f64>().sqrt();
-    let mut rest: Vec<Vec<f64>> = columns
-        .iter()
-        .zip(&means)
-        .map(|(column, mean)| column.iter().map(|value| value - mean).collect())
-        .collect();
+    let mut rest: Vec<Vec<f64>> =
+        columns.iter().zip(&means).map(|(column, mean)| column.iter().map(|value| value - mean).collect()).collect();
     let scale = rest.iter().map(norm).fold(0.0, f64::max);
     let mut kept = Vec::new();
     while let Some(best) = (0..rest.len()).max_by(|&a, &b| norm(&rest[a]).total_cmp(&norm(&rest[b]))) {

@@ -73,7 +73,12 @@ impl Effect for ThermalGrowth {
         let sensors = scene.sensors_of(link as usize).len();
         given.require("link", link, sensors > 0, "a link with sensors")?;
         let sensor = given.optional("sensor_of_link")?.unwrap_or(MEAN);
-        given.require("sensor_of_link", sensor, (0..=sensors).any(|one| one as f64 == sensor), "a sensor of the link")?;
+        given.require(
+            "sensor_of_link",
+            sensor,
+            (0..=sensors).any(|one| one as f64 == sensor),
+            "a sensor of the link",
+        )?;
         Ok(Values::new([link, sensor], [coefficient]))
     }
 
