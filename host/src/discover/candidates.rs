@@ -142,6 +142,11 @@ impl Rivals {
     }
 }
 
+/// An effect that explains more than shared errors of postures and cycles by this log likelihood, with none of them left,
+/// is held against noise without them: shared errors are a name for what is not known, and an effect of a few numbers
+/// takes all of them away only if it is their cause.
+const INSTEAD: f64 = 2.0;
+
 /// A shape with its gain.
 struct Tried {
     shape: Vec<f64>,
@@ -161,10 +166,15 @@ fn try_shape(
     shape: &[f64],
 ) -> Option<Tried> {
     let mut best: Option<(f64, &Factor, usize, Vec<f64>, f64)> = None;
+    // The chance in noise that postures and cycles do not share.
+    let mut instead = 0.0_f64;
     for factor in &rivals.factors {
         let projected = factor.project(cross);
         let (drop, freedom, coefficients) = projected.drop();
         let gain = factor.log_likelihood + 0.5 * drop - rivals.nothing;
+        if freedom > 0 && factor.is_unshared() && gain > INSTEAD {
+            instead = ln_chi_square(drop, freedom);
+        }
         if freedom > 0 && best.as_ref().is_none_or(|(other, ..)| gain > *other) {
             let visible = projected.own.trace() / cross.own.trace();
             best = Some((gain, factor, freedom, coefficients.iter().copied().collect(), visible));
@@ -178,7 +188,7 @@ fn try_shape(
         true => rivals.between,
         false => f64::INFINITY,
     };
-    let ln_p = ln_likelihood_ratio(2.0 * gain, freedom, numbers);
+    let ln_p = ln_likelihood_ratio(2.0 * gain, freedom, numbers).min(instead);
     Some(Tried { shape: shape.to_vec(), coefficients, ratio: 2.0 * gain, freedom, ln_p, visible })
 }
 

@@ -100,8 +100,10 @@ pub fn put_labels_right(robot: &Robot, run: &Run, request: &Request) -> Result<(
         .map(|same| {
             let mut cycles: Vec<u32> = same.iter().map(|(visit, ..)| run.visits[*visit].cycle).collect();
             cycles.dedup();
+            let mut targets = [run.target_names[same[0].1].clone(), run.target_names[same[0].2].clone()];
+            targets.sort_by_key(|name| robot.targets.iter().position(|target| target.name == *name));
             Swap {
-                targets: [run.target_names[same[0].1].clone(), run.target_names[same[0].2].clone()],
+                targets,
                 cycles,
                 visits: same.iter().map(|(visit, ..)| *visit).collect(),
                 ln_p: -0.5 * same.iter().map(|(.., gain)| gain).sum::<f64>() / scale,
@@ -141,7 +143,26 @@ fn exchanges(campaign: &Campaign, state: &State) -> (Vec<(usize, usize, usize, f
     let middle = squares.len() / 2;
     let scale = *squares.select_nth_unstable_by(middle, f64::total_cmp).1;
     // An exchange of neighbours that noise could make is none.
-    found.retain(|(.., gain)| *gain > 100.0 * scale);
+    let plain = |(.., gain): &(usize, usize, usize, f64)| *gain > 100.0 * scale;
+    found.retain(plain);
+    // Where one of the two was not seen, the other bears its name all the same.
+    let mut pairs: Vec<(usize, usize)> = found.iter().flat_map(|&(_, a, b, _)| [(a, b), (b, a)]).collect();
+    pairs.sort_unstable();
+    pairs.dedup();
+    for visit in &campaign.visits {
+        let flange = prepared.flange(&visit.posture);
+        let seen = |target: usize| visit.positions.iter().any(|position| position.target == target);
+        let alone = visit.positions.iter().flat_map(|position| {
+            let others = pairs.iter().filter(|(own, other)| *own == position.target && !seen(*other));
+            others.map(move |&(own, other)| (position.at, own, other))
+        });
+        let exchanged = alone.filter_map(|(at, own, other)| {
+            let square = |target: usize| (at - flange.point(&state.geometry.targets[target])).norm_squared();
+            let (as_is, exchanged) = (square(own), square(other));
+            (exchanged < LEFT * as_is).then_some((visit.place, own, other, as_is - exchanged))
+        });
+        found.extend(exchanged.max_by(|a, b| a.3.total_cmp(&b.3)).filter(plain));
+    }
     (found, scale.max(f64::MIN_POSITIVE))
 }
 

@@ -417,6 +417,11 @@ pub struct Projected {
 }
 
 impl Factor {
+    /// Whether neither postures nor cycles share errors.
+    pub fn is_unshared(&self) -> bool {
+        self.posture == 0.0 && self.cycle == 0.0
+    }
+
     fn chosen_rows(&self, with: &DMatrix<f64>) -> DMatrix<f64> {
         if self.chosen.len() == with.nrows() { with.clone() } else { with.select_rows(&self.chosen) }
     }
