@@ -46,7 +46,7 @@ pub struct HeldOut {
     pub after: ErrorTally,
 }
 
-/// What [`held_out`] needs to know.
+/// What held-out errors are computed from.
 pub struct Question<'a> {
     /// All visits.
     pub campaign: &'a Campaign,
