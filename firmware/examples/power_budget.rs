@@ -133,9 +133,9 @@ fn answer_to(
     settings: &Settings,
     answer: &mut [u8; MAX_DATAGRAM],
 ) -> usize {
-    let batch = host.open(datagram).expect("the board's datagram is authentic").report.batch;
+    let received = host.open(datagram).expect("the board's datagram is authentic");
     let inbox = host.inbox_mut();
-    inbox.accept(&batch, |_| ()).expect("the inbox has room");
+    inbox.accept(received.boot, &received.report.batch, |_| ()).expect("the inbox has room");
     inbox.begin_commit();
     inbox.finish_commit();
     host.answer(Instant::now().as_micros(), settings, answer).expect("the board was heard")

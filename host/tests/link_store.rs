@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use thermokin::logger::group::{BoardState, Entry, Group, MarkKind, SensorLabel};
 use thermokin::logger::sink::Sink;
-use thermokin::logger::store::{Attachment, Rotation, Store, files, scan};
+use thermokin::logger::store::{Attachment, Rotation, Store, Topic, files, scan};
 use thermokin_protocol::{Reading, Record, SensorKind};
 
 const START_US: u64 = 1_795_000_000_000_000;
@@ -32,7 +32,7 @@ fn group(number: u64) -> Group {
             records: vec![record],
         },
     ];
-    let state = BoardState { board: 3, guard: (7, number + 1, 1), inbox: Some((7, number + 1, Vec::new())) };
+    let state = BoardState { board: 3, guard: (7, number + 1, 1), boot: 7, inbox: Some((7, number + 1, Vec::new())) };
     Group { entries, states: vec![state], closed_us }
 }
 
@@ -128,4 +128,31 @@ fn any_flipped_bit_of_a_group_is_noticed() {
         assert!(found.damage.is_some(), "byte {place}");
         assert_eq!(found.valid, durable[2], "byte {place}");
     }
+}
+
+#[test]
+fn a_file_that_is_old_enough_is_followed_by_another() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let rotation = Rotation { bytes: 1 << 30, seconds: 10 };
+    let (mut store, _) = Store::open(folder.path(), rotation, Vec::new(), START_US).expect("the store opens");
+    for number in 0..35 {
+        store.take(&group(number)).expect("it is written");
+    }
+    store.finish().expect("it ends");
+    // Groups are a second apart: ten in each file, the last of five.
+    let mut records = Vec::new();
+    for file in files(folder.path()).expect("the folder is read") {
+        let mut sequences = Vec::new();
+        let found = scan(&file, |logged| {
+            if logged.topic == Some(Topic::Readings(3)) {
+                let json: serde_json::Value = serde_json::from_slice(logged.data).expect("JSON");
+                sequences.push(json["sequence"].as_u64().expect("a number"));
+            }
+        })
+        .expect("it is a log");
+        assert!(found.finished && found.damage.is_none(), "{:?}", found.damage);
+        records.push(sequences);
+    }
+    assert_eq!(records.iter().map(Vec::len).collect::<Vec<_>>(), [10, 10, 10, 5]);
+    assert_eq!(records.concat(), (0..35).collect::<Vec<u64>>());
 }

@@ -13,7 +13,7 @@ use std::format;
 use std::string::String;
 use std::vec::Vec;
 
-use crate::inbox::{Arrival, Inbox};
+use crate::inbox::{Arrival, Gap, Inbox};
 use crate::message::{Acknowledgement, Batch, Segment};
 use crate::outbox::{Outbox, Pace};
 
@@ -24,7 +24,17 @@ const PACE: Pace = Pace { now_us: 1, resend_after_us: 0 };
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Written {
     Record { store: u32, sequence: u64, time_us: u64 },
-    Gap { store: u32, from: u64, until: Option<u64> },
+    Gap { store: u32, stores_until: u32, from: u64, until: Option<u64> },
+}
+
+impl Written {
+    /// Whether it is a gap that says that a record will never come.
+    fn tells(&self, in_store: u32, sequence: u64) -> bool {
+        matches!(*self, Written::Gap { store, stores_until, from, until }
+            if (store..stores_until).contains(&in_store)
+                && from <= sequence
+                && until.is_none_or(|until| sequence < until))
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -39,8 +49,11 @@ struct World {
     /// Received since the sync began.
     pending: Vec<Written>,
     /// The window's state as it is on disk.
-    remembered: Option<(u32, u64, Vec<Segment>)>,
-    up: Vec<Batch>,
+    remembered: Option<(u32, u32, u64, Vec<Segment>)>,
+    /// The newest boot heard, as it will be remembered with what is being synced and with what was received since.
+    heard: (u32, u32),
+    /// Batches under way, with the boots that sent them.
+    up: Vec<(u32, Batch)>,
     down: Vec<Acknowledgement>,
     /// Everything ever taken: (store, sequence) to its time.
     taken: BTreeMap<(u32, u64), u64>,
@@ -61,20 +74,28 @@ impl World {
         self.pushes -= 1;
     }
 
-    fn deliver_up(&mut self, batch: &Batch) {
+    fn deliver_up(&mut self, boot: u32, batch: &Batch) {
+        // What an earlier boot sent is refused before the window sees it (`crate::ReplayGuard`).
+        if boot < self.heard.1 {
+            return;
+        }
+        self.heard.1 = boot;
         let (host, pending) = (&mut self.host, &mut self.pending);
         // A batch of a store that ended is refused; that is all there is to it.
-        let _ = host.accept(batch, |arrival| {
+        let _ = host.accept(boot, batch, |arrival| {
             pending.push(match arrival {
                 Arrival::Record(record) => {
                     Written::Record { store: batch.store, sequence: record.sequence, time_us: record.time_us }
                 }
-                Arrival::Gap(gap) => Written::Gap { store: gap.store, from: gap.from, until: gap.until },
+                Arrival::Gap(Gap { store, stores_until, from, until, .. }) => {
+                    Written::Gap { store, stores_until, from, until }
+                }
             });
         });
     }
 
     fn begin_sync(&mut self) {
+        self.heard.0 = self.host.boot().unwrap_or(0);
         self.host.begin_commit();
         self.syncing = core::mem::take(&mut self.pending);
     }
@@ -83,7 +104,7 @@ impl World {
         self.host.finish_commit();
         self.disk.append(&mut self.syncing);
         if let Some((store, below, segments)) = self.host.durable() {
-            self.remembered = Some((store, below, segments.to_vec()));
+            self.remembered = Some((self.heard.0, store, below, segments.to_vec()));
         }
     }
 
@@ -103,9 +124,12 @@ impl World {
     fn restart_host(&mut self) {
         self.pending.clear();
         self.syncing.clear();
+        self.heard = self.remembered.as_ref().map_or((0, 0), |remembered| (remembered.0, remembered.0));
         self.host = match &self.remembered {
-            Some((store, below, segments)) => Inbox::restore(*store, *below, segments).expect("it fitted before"),
-            None => Inbox::default(),
+            Some((boot, store, below, segments)) => {
+                Inbox::restore(*boot, *store, *below, segments).expect("it fitted before")
+            }
+            None => Inbox::from_boot(1),
         };
     }
 
@@ -124,10 +148,8 @@ impl World {
             }
         }
         for written in &self.disk {
-            if let Written::Gap { store, from, until } = *written {
-                let hit = records.range((store, from)..(store, until.unwrap_or(u64::MAX))).next();
-                assert_eq!(hit, None, "both stored and told as lost in {self:?}");
-            }
+            let hit = records.iter().find(|&&(store, sequence)| written.tells(store, sequence));
+            assert_eq!(hit, None, "both stored and told as lost in {self:?}");
         }
     }
 
@@ -139,8 +161,8 @@ impl World {
         for _ in 0..4 {
             let index = 0;
             let batch = self.board.batch(index, &[], 1000, PACE);
-            self.deliver_up(&batch);
-            self.deliver_up(&self.board.empty_batch(&[]).clone());
+            self.deliver_up(self.boot, &batch);
+            self.deliver_up(self.boot, &self.board.empty_batch(&[]).clone());
             self.begin_sync();
             self.finish_sync();
             if let Some(acknowledgement) = self.host.acknowledgement() {
@@ -150,16 +172,8 @@ impl World {
         self.check();
         assert!(self.board.is_empty(), "the board keeps records for ever: {self:?}");
         for &(store, sequence) in self.taken.keys() {
-            let told = self.disk.iter().any(|written| {
-                matches!(*written, Written::Gap { store: s, from, until }
-                    if s == store && from <= sequence && until.is_none_or(|until| sequence < until))
-            });
-            // Nothing is told of a store that was lost before the host heard anything of it.
-            let unheard = store < self.board.store()
-                && !self.disk.iter().any(|written| {
-                    matches!(*written, Written::Record { store: s, .. } | Written::Gap { store: s, .. } if s == store)
-                });
-            assert!(self.stored(store, sequence) || told || unheard, "{sequence} of {store} vanished: {self:?}");
+            let told = self.disk.iter().any(|written| written.tells(store, sequence));
+            assert!(self.stored(store, sequence) || told, "{sequence} of {store} vanished: {self:?}");
             let kept = !self.lost.contains(&(store, sequence));
             assert!(!kept || self.stored(store, sequence), "{sequence} of {store} was kept and is gone: {self:?}");
         }
@@ -179,19 +193,19 @@ impl World {
             for index in 0..self.board.len() {
                 step(&|world| {
                     let batch = world.board.batch(index, &[], 1000, PACE);
-                    world.up.push(batch);
+                    world.up.push((world.boot, batch));
                 });
             }
-            step(&|world| world.up.push(world.board.empty_batch(&[])));
+            step(&|world| world.up.push((world.boot, world.board.empty_batch(&[]))));
         }
         for index in 0..self.up.len() {
             step(&|world| {
-                let batch = world.up.remove(index);
-                world.deliver_up(&batch);
+                let (boot, batch) = world.up.remove(index);
+                world.deliver_up(boot, &batch);
             });
             step(&|world| {
-                let batch = world.up[index].clone();
-                world.deliver_up(&batch);
+                let (boot, batch) = world.up[index].clone();
+                world.deliver_up(boot, &batch);
             });
             step(&|world| drop(world.up.remove(index)));
         }
@@ -247,8 +261,17 @@ impl World {
         let disk: BTreeSet<&Written> = self.disk.iter().collect();
         let (store, next) = (self.board.store(), self.board.next_sequence());
         format!(
-            "{store} {next} {held:?} {:?} {disk:?} {:?} {:?} {:?} {:?} {:?} {} {}",
-            self.host, self.syncing, self.pending, self.up, self.down, self.lost, self.pushes, self.trouble
+            "{store} {next} {held:?} {:?} {disk:?} {:?} {:?} {:?} {:?} {:?} {:?} {} {} {}",
+            self.host,
+            self.heard,
+            self.syncing,
+            self.pending,
+            self.up,
+            self.down,
+            self.lost,
+            self.boot,
+            self.pushes,
+            self.trouble
         )
     }
 }
@@ -257,11 +280,12 @@ fn explore(pushes: u8, trouble: u8) -> usize {
     let start = World {
         board: Board::new(1),
         boot: 1,
-        host: Inbox::default(),
+        host: Inbox::from_boot(1),
         disk: Vec::new(),
         syncing: Vec::new(),
         pending: Vec::new(),
         remembered: None,
+        heard: (0, 0),
         up: Vec::new(),
         down: Vec::new(),
         taken: BTreeMap::new(),

@@ -21,6 +21,8 @@ pub enum Arrival<'a> {
 pub struct Gap {
     /// The store.
     pub store: u32,
+    /// One past the last store that this says the same of.
+    pub stores_until: u32,
     /// The first sequence.
     pub from: u64,
     /// One past the last sequence; none where nobody knows how many there were.
@@ -36,6 +38,8 @@ pub enum GapReason {
     NotHeld,
     /// The store that held them ended, with the board's power for instance.
     StoreEnded,
+    /// Boots that nothing was heard of lie between two that were: if any of them began a store, it ended unheard.
+    Unheard,
 }
 
 /// What one board's records have come to, on the host.
@@ -44,6 +48,8 @@ pub enum GapReason {
 /// would exceed it are not taken and not acknowledged, so the board sends them again.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Inbox<const SEGMENTS: usize> {
+    /// The first boot whose store this log should have; 0 if that is not known.
+    first_boot: u32,
     received: Option<Progress<SEGMENTS>>,
     committing: Option<Progress<SEGMENTS>>,
     durable: Option<Progress<SEGMENTS>>,
@@ -54,33 +60,52 @@ pub struct Inbox<const SEGMENTS: usize> {
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Progress<const SEGMENTS: usize> {
     store: u32,
+    /// The newest boot that it was heard in.
+    boot: u32,
     set: SequenceSet<SEGMENTS>,
 }
 
 impl<const SEGMENTS: usize> Inbox<SEGMENTS> {
-    /// Takes a batch and calls `each` with what is new in it. None of that is durable yet.
+    /// An inbox to which nothing came yet, of a board that begins with a boot; what its boots from that one on take should
+    /// come, and stores of boots that are never heard are told as gaps. 0 tells of none before the first store heard.
+    pub fn from_boot(first_boot: u32) -> Self {
+        Self { first_boot, ..Self::default() }
+    }
+
+    /// Takes a batch that a boot of the board sent, and calls `each` with what is new in it. None of that is durable yet.
     ///
     /// # Errors
     ///
     /// [`Refused::Malformed`] if the batch breaks its own rules, [`Refused::Stale`] if it is from a store that ended.
-    pub fn accept(&mut self, batch: &Batch, mut each: impl FnMut(Arrival<'_>)) -> Result<(), Refused> {
-        if !batch.is_well_formed() {
+    pub fn accept(&mut self, boot: u32, batch: &Batch, mut each: impl FnMut(Arrival<'_>)) -> Result<(), Refused> {
+        if !batch.is_well_formed() || batch.store > boot {
             return Err(Refused::Malformed);
         }
         let received = match &mut self.received {
             Some(progress) if progress.store > batch.store => return Err(Refused::Stale),
             Some(progress) if progress.store == batch.store => progress,
             other => {
+                // A boot takes its records into the store that it found, or begins one under its own name. So a store
+                // that nobody heard of is named by a boot that nobody heard of, after the last one heard.
+                let mut unheard_from = self.first_boot;
                 if let Some(ended) = other {
-                    let gap = |from, until| Gap { store: ended.store, from, until, reason: GapReason::StoreEnded };
+                    unheard_from = ended.boot.saturating_add(1);
+                    let (store, stores_until, reason) =
+                        (ended.store, ended.store.saturating_add(1), GapReason::StoreEnded);
+                    let gap = |from, until| Gap { store, stores_until, from, until, reason };
                     let end = ended.set.end();
                     ended.set.missing(0, end, |from, until| each(Arrival::Gap(gap(from, Some(until)))));
                     each(Arrival::Gap(gap(end, None)));
                 }
+                if unheard_from > 0 && unheard_from < batch.store {
+                    let (store, stores_until) = (unheard_from, batch.store);
+                    each(Arrival::Gap(Gap { store, stores_until, from: 0, until: None, reason: GapReason::Unheard }));
+                }
                 self.asked.clear();
-                other.insert(Progress { store: batch.store, set: SequenceSet::default() })
+                other.insert(Progress { store: batch.store, boot, set: SequenceSet::default() })
             }
         };
+        received.boot = received.boot.max(boot);
         let mut start = batch.from;
         for record in &batch.records {
             received.close(start, record.sequence, &mut each);
@@ -117,16 +142,17 @@ impl<const SEGMENTS: usize> Inbox<SEGMENTS> {
         self.received.clone_from(&self.durable);
     }
 
-    /// An inbox to which a log already holds part of a store: everything below a limit and a bitmap above it, as
-    /// [`Inbox::received`] told them.
+    /// An inbox to which a log already holds part of a store, last heard in a boot: everything below a limit and a bitmap
+    /// above it, as [`Inbox::boot`] and [`Inbox::received`] told them.
     ///
     /// # Errors
     ///
     /// [`Full`] if the bitmap has more segments than this inbox has room for.
-    pub fn restore(store: u32, below: u64, segments: &[Segment]) -> Result<Self, Full> {
+    pub fn restore(boot: u32, store: u32, below: u64, segments: &[Segment]) -> Result<Self, Full> {
         let set = SequenceSet::restore(below, segments)?;
-        let progress = Some(Progress { store, set });
-        Ok(Self { received: progress.clone(), committing: progress.clone(), durable: progress, asked: Vec::new() })
+        let progress = Some(Progress { store, boot, set });
+        let (received, committing) = (progress.clone(), progress.clone());
+        Ok(Self { first_boot: 0, received, committing, durable: progress, asked: Vec::new() })
     }
 
     /// What was received: store, limit and bitmap above it; none before anything was.
@@ -137,6 +163,11 @@ impl<const SEGMENTS: usize> Inbox<SEGMENTS> {
     /// The durable part of it, likewise.
     pub fn durable(&self) -> Option<(u32, u64, &[Segment])> {
         self.durable.as_ref().map(|progress| (progress.store, progress.set.below(), progress.set.segments()))
+    }
+
+    /// The newest boot in which the store that is being received was heard.
+    pub fn boot(&self) -> Option<u32> {
+        self.received.as_ref().map(|progress| progress.boot)
     }
 
     /// The name of the store that is being received.
@@ -172,7 +203,8 @@ impl<const SEGMENTS: usize> Progress<SEGMENTS> {
         }
         let store = self.store;
         before.missing(from, until, |from, until| {
-            each(Arrival::Gap(Gap { store, from, until: Some(until), reason: GapReason::NotHeld }));
+            let stores_until = store.saturating_add(1);
+            each(Arrival::Gap(Gap { store, stores_until, from, until: Some(until), reason: GapReason::NotHeld }));
         });
     }
 }

@@ -53,7 +53,7 @@ impl World {
                     continue;
                 }
                 let received = self.host.open(&mut buffer[..length]).expect("it is authentic and fresh");
-                self.host.inbox_mut().accept(&received.report.batch, |_| {}).expect("it is well formed");
+                self.host.inbox_mut().accept(received.boot, &received.report.batch, |_| {}).expect("it is well formed");
                 self.heard = true;
             }
             if self.now_us >= self.synced_us {

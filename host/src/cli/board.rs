@@ -9,7 +9,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use clap::{Args, Subcommand};
 use serde_json::json;
-use thermokin_protocol::{MAX_SENSORS, Settings};
+use thermokin_protocol::{MAX_SENSORS, SCHEMA_VERSION, Settings};
 
 use super::Failure;
 use super::output::JsonOption;
@@ -376,6 +376,12 @@ fn simulate_boards(arguments: &VirtualArguments) -> Result<(), Failure> {
         simulate::<256>(simulation, &stop, progress)
     }
     .map_err(|error| Failure::Work(format!("{}: {error}", arguments.host)))?;
+    if let Some(theirs) = outcome.host_version {
+        eprintln!(
+            "the host speaks schema version {theirs}, these boards speak {SCHEMA_VERSION}: update the older one; \
+             the boards keep their records until then"
+        );
+    }
     if let Some(file) = &arguments.truth {
         write_truth(file, &outcome.truth).map_err(|error| Failure::Work(format!("{}: {error}", file.display())))?;
     }

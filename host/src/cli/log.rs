@@ -13,8 +13,10 @@ use serde_json::json;
 
 use super::Failure;
 use super::output::JsonOption;
+use super::progress::Steps;
 use crate::input::InputError;
 use crate::logger::export::{ExportError, LoggedRun, export, runs};
+use crate::logger::read;
 use crate::logger::registry::Registry;
 use crate::logger::serve::{Options, ServeError, View, control_path, serve, stop_on_signals};
 use crate::logger::store::{self, Rotation, Scan, StoreError};
@@ -230,8 +232,10 @@ fn wish(store: &Path, words: &str) -> Result<(), Failure> {
 }
 
 fn info(arguments: &InfoArguments) -> Result<(), Failure> {
-    let contents = verify::contents(&arguments.log)?;
-    let runs = runs(&arguments.log)?;
+    let steps = Steps::of_bytes(2 * read::size(&arguments.log)?, "reading the log");
+    let contents = verify::contents(&arguments.log, &|bytes| steps.advance(bytes))?;
+    let runs = runs(&arguments.log, &|bytes| steps.advance(bytes))?;
+    drop(steps);
     if arguments.json.leaves_words() {
         let mut out = io::stdout().lock();
         say_info(&mut out, &contents, &runs).map_err(|error| Failure::Work(format!("standard output: {error}")))?;
@@ -245,8 +249,8 @@ fn info(arguments: &InfoArguments) -> Result<(), Failure> {
         })).collect::<Vec<_>>(),
         "start_s": span.map(|span| span.0), "end_s": span.map(|span| span.1),
         "boards": contents.boards.iter().map(|(board, of_board)| json!({
-            "board": board, "records": of_board.records, "lost": of_board.lost, "boots": of_board.boots,
-            "sensors": of_board.sensors,
+            "board": board, "records": of_board.records, "lost": of_board.lost, "open_gaps": of_board.open_gaps,
+            "boots": of_board.boots, "sensors": of_board.sensors,
         })).collect::<Vec<_>>(),
         "runs": runs.iter().map(|run| json!({
             "name": run.name, "start_s": run.start_s, "stop_s": run.stop_s,
@@ -273,6 +277,10 @@ fn say_info(out: &mut impl Write, contents: &verify::Contents, runs: &[LoggedRun
             of_board.boots,
             sensors.join(" ")
         )?;
+        if of_board.open_gaps > 0 {
+            let gaps = of_board.open_gaps;
+            writeln!(out, "board {board}: {gaps} times it is not known how much was lost with power; see /gaps")?;
+        }
     }
     for run in runs {
         match run.stop_s {
@@ -296,7 +304,10 @@ fn doctor(arguments: &DoctorArguments) -> Result<(), Failure> {
     for path in &arguments.truth {
         truths.extend(verify::read_truth(path)?);
     }
-    let finding = verify::verify(&arguments.log, (!arguments.truth.is_empty()).then_some(truths))?;
+    let steps = Steps::of_bytes(read::size(&arguments.log)?, "checking the log");
+    let truths = (!arguments.truth.is_empty()).then_some(truths);
+    let finding = verify::verify(&arguments.log, truths, &|bytes| steps.advance(bytes))?;
+    drop(steps);
     if arguments.json.leaves_words() {
         for (path, scan) in &finding.files {
             println!("{}: {} bytes{}", path.display(), scan.length, state_words(scan));
@@ -320,11 +331,15 @@ fn doctor(arguments: &DoctorArguments) -> Result<(), Failure> {
 }
 
 fn recover(arguments: &RecoverArguments) -> Result<(), Failure> {
-    let scan = store::scan(&arguments.file, |_| {})?;
-    let copied = verify::recover(&arguments.file, &scan, &arguments.out)
+    // It is read, copied, and read again.
+    let steps = Steps::of_bytes(3 * read::size(&arguments.file)?, "recovering");
+    let step = |bytes| steps.advance(bytes);
+    let scan = store::scan_stepwise(&arguments.file, step, |_| {})?;
+    let copied = verify::recover(&arguments.file, &scan, &arguments.out, &step)
         .map_err(|error| Failure::Work(format!("{}: {error}", arguments.out.display())))?;
     // A file that was recovered is read again before anybody trusts it.
-    let again = store::scan(&arguments.out, |_| {})?;
+    let again = store::scan_stepwise(&arguments.out, step, |_| {})?;
+    drop(steps);
     if !again.finished || again.summary.message_count() != scan.summary.message_count() {
         return Err(Failure::Work(format!("{}: did not read back as it was written", arguments.out.display())));
     }
@@ -339,9 +354,12 @@ fn recover(arguments: &RecoverArguments) -> Result<(), Failure> {
 }
 
 fn export_run(arguments: &ExportArguments) -> Result<(), Failure> {
+    let passes = 2 + u64::from(arguments.run.is_some());
+    let steps = Steps::of_bytes(passes * read::size(&arguments.log)?, "exporting");
+    let step = |bytes| steps.advance(bytes);
     let run = match &arguments.run {
         None => None,
-        Some(name) => Some(chosen_run(&arguments.log, name)?),
+        Some(name) => Some(chosen_run(&arguments.log, name, &step)?),
     };
     let to_standard = arguments.out == Path::new("-");
     let failed = |error: ExportError| match error {
@@ -349,7 +367,7 @@ fn export_run(arguments: &ExportArguments) -> Result<(), Failure> {
         ExportError::Output(error) => Failure::Work(format!("{}: {error}", arguments.out.display())),
     };
     let exported = if to_standard {
-        export(&arguments.log, run.as_ref(), &mut BufWriter::new(io::stdout().lock())).map_err(failed)?
+        export(&arguments.log, run.as_ref(), &step, &mut BufWriter::new(io::stdout().lock())).map_err(failed)?
     } else {
         // Written beside its place and moved there whole.
         let mut name = arguments.out.clone().into_os_string();
@@ -357,7 +375,7 @@ fn export_run(arguments: &ExportArguments) -> Result<(), Failure> {
         let part = PathBuf::from(name);
         let file = std::fs::File::create(&part).map_err(|error| failed(error.into()))?;
         let mut out = BufWriter::new(file);
-        let exported = export(&arguments.log, run.as_ref(), &mut out).and_then(|exported| {
+        let exported = export(&arguments.log, run.as_ref(), &step, &mut out).and_then(|exported| {
             out.flush()?;
             std::fs::rename(&part, &arguments.out)?;
             Ok(exported)
@@ -367,21 +385,29 @@ fn export_run(arguments: &ExportArguments) -> Result<(), Failure> {
             failed(error)
         })?
     };
+    drop(steps);
     if arguments.json.leaves_words() {
         eprintln!(
-            "{} readings of {} sensors; left out: {} without a value, {} out of range; times known to {}",
+            "{} readings of {} sensors; left out: {} without a value, {} out of range; times known to {:.1} ms",
             exported.readings,
             exported.sensors.len(),
             exported.missing,
             exported.out_of_range,
-            exported.time_uncertainty_s.map_or("an unknown degree".to_owned(), |s| format!("{:.1} ms", s * 1e3))
+            exported.time_uncertainty_s * 1e3
         );
+        if exported.times_unbounded > 0 {
+            eprintln!(
+                "{} readings have times known on one side only, they were read then or before: their boards' boots ended \
+                 before an answer was echoed",
+                exported.times_unbounded
+            );
+        }
     }
     arguments.json.write(&json!({"format": 1, "command": "log export", "exported": exported}))
 }
 
-fn chosen_run(log: &Path, name: &str) -> Result<LoggedRun, Failure> {
-    let found = runs(log)?;
+fn chosen_run(log: &Path, name: &str, step: &dyn Fn(u64)) -> Result<LoggedRun, Failure> {
+    let found = runs(log, step)?;
     let named: Vec<&str> = found.iter().map(|run| run.name.as_str()).collect();
     // Of several runs of one name the last is meant: the others were tries.
     found.iter().rfind(|run| run.name == name).cloned().ok_or_else(|| {

@@ -23,12 +23,26 @@ impl Steps {
         Self { bar, begun: Instant::now() }
     }
 
+    /// A work of reading so many bytes.
+    pub fn of_bytes(count: u64, what: &'static str) -> Self {
+        let steps = Self::new(count, what);
+        if let Ok(style) = ProgressStyle::with_template("{msg} {bar:40} {bytes}/{total_bytes} {eta}") {
+            steps.bar.set_style(style);
+        }
+        steps
+    }
+
     /// One step is done.
     pub fn done(&self) {
+        self.advance(1);
+    }
+
+    /// So many steps are done.
+    pub fn advance(&self, steps: u64) {
         if self.bar.is_hidden() && self.begun.elapsed() > Duration::from_secs(1) && std::io::stderr().is_terminal() {
             self.bar.set_draw_target(ProgressDrawTarget::stderr());
         }
-        self.bar.inc(1);
+        self.bar.inc(steps);
     }
 }
 

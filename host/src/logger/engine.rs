@@ -8,20 +8,24 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use thermokin_protocol::{
-    Arrival, Header, HostLink, Identity, Inbox, Key, MAX_DATAGRAM, Received, Refused, ReplayGuard, SCHEMA_VERSION,
-    Sensor, Settings,
+    Arrival, Header, HostLink, Identity, Inbox, MAX_DATAGRAM, Received, Refused, ReplayGuard, SCHEMA_VERSION, Sensor,
+    Settings,
 };
 
 use super::clock::{BoardClock, Bound, ClockFit};
 use super::gauge::{Gauge, Remark};
 use super::group::{BoardState, Entry, Group, MarkKind, ReportEntry, ReportWords, SensorLabel};
-use super::registry::Registry;
+use super::registry::{Board, Registry};
 use super::watch::{Trouble, Watch};
 
 /// How scattered a board's records may be above the contiguous part: 64 sequences a segment.
 pub const SEGMENTS: usize = 32;
 /// The most bytes of datagrams that gather while the disk is busy; more are left to the boards to send again.
-const MAX_GATHERED: usize = 48 << 20;
+const MAX_GATHERED: usize = 16 << 20;
+/// The disk counts as nearly full below this many bytes…
+const NEARLY_FULL: u64 = 512 << 20;
+/// …and as good again above this many.
+const ROOM_AGAIN: u64 = 640 << 20;
 /// A board that says nothing for this long is told of.
 const SILENT_US: u64 = 10_000_000;
 /// A clock that is not known this well after [`SETTLING_US`] is told of.
@@ -153,9 +157,9 @@ impl Engine {
     pub fn take_registry(&mut self, registry: &Registry) {
         self.settings = registry.settings;
         for board in &registry.boards {
-            let (number, key) = (board.board, &board.key);
+            let number = board.board;
             self.boards.entry(number).or_insert_with(|| {
-                let link = restored(number, key.clone(), self.epoch, self.remembered.get(&number));
+                let link = restored(board, self.epoch, self.remembered.get(&number));
                 BoardEntry {
                     link,
                     address: None,
@@ -265,7 +269,7 @@ impl Engine {
         }
         board.clock_boot = received.boot;
         self.gathered += exact.len();
-        self.group.entries.push(Entry::Datagram { arrived_us: now_us, bytes: exact });
+        self.group.entries.push(Entry::Datagram { board: number, arrived_us: now_us, bytes: exact });
         self.tally.accepted += 1;
         self.take(number, received, now_us).map_err(refuse)
     }
@@ -327,7 +331,7 @@ impl Engine {
         }
         let mut records = Vec::new();
         let (entries, counts, lost) = (&mut self.group.entries, &mut self.counts[0], &mut board.lost);
-        board.link.inbox_mut().accept(batch, |arrival| match arrival {
+        board.link.inbox_mut().accept(received.boot, batch, |arrival| match arrival {
             Arrival::Record(record) => records.push(record.clone()),
             Arrival::Gap(gap) => {
                 let missing = gap.until.map_or(0, |until| until - gap.from);
@@ -454,6 +458,17 @@ impl Engine {
         }
     }
 
+    /// Takes how many bytes the store's disk has free.
+    pub fn on_disk(&mut self, free: u64, now_us: u64) {
+        if free < NEARLY_FULL {
+            self.watch.raise(Trouble::DiskNearlyFull, now_us, || {
+                format!("the disk is nearly full: {} MB are free", free / 1_000_000)
+            });
+        } else if free > ROOM_AGAIN {
+            self.watch.clear(&Trouble::DiskNearlyFull, now_us, |_| "the disk has room again".to_owned());
+        }
+    }
+
     /// Looks for what only time shows: boards that are silent, clocks that do not settle.
     pub fn on_tick(&mut self, now_us: u64) {
         for (&number, board) in &self.boards {
@@ -505,19 +520,22 @@ fn tell(watch: &mut Watch, remark: Option<Remark>, board: u32, address: u8, name
     }
 }
 
-fn restored(board: u32, key: Key, epoch: u32, state: Option<&BoardState>) -> HostLink<SEGMENTS> {
+fn restored(board: &Board, epoch: u32, state: Option<&BoardState>) -> HostLink<SEGMENTS> {
+    let (number, key, first_boot) = (board.board, board.key.clone(), board.first_boot);
     let Some(state) = state else {
-        return HostLink::new(board, key, epoch, ReplayGuard::default(), Inbox::default());
+        return HostLink::new(number, key, epoch, ReplayGuard::default(), Inbox::from_boot(first_boot));
     };
     let (boot, next, heard) = state.guard;
     let guard = ReplayGuard::from_state(boot, next, heard);
     // A log written with more segments than this host keeps: what is missing comes again and is stored again, which is
     // the lesser evil; this host writes no such log.
-    let inbox = state.inbox.as_ref().and_then(|(store, below, segments)| Inbox::restore(*store, *below, segments).ok());
-    HostLink::new(board, key, epoch, guard, inbox.unwrap_or_default())
+    let restore =
+        |(store, below, segments): &(u32, u64, Vec<_>)| Inbox::restore(state.boot, *store, *below, segments).ok();
+    let inbox = state.inbox.as_ref().and_then(restore);
+    HostLink::new(number, key, epoch, guard, inbox.unwrap_or_else(|| Inbox::from_boot(first_boot)))
 }
 
 fn state_of(board: u32, link: &HostLink<SEGMENTS>) -> BoardState {
     let inbox = link.inbox().received().map(|(store, below, segments)| (store, below, segments.to_vec()));
-    BoardState { board, guard: link.guard().state(), inbox }
+    BoardState { board, guard: link.guard().state(), boot: link.inbox().boot().unwrap_or(0), inbox }
 }

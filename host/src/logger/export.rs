@@ -1,7 +1,11 @@
 //! From a log to a run folder's `temperatures.csv`.
 //!
 //! While logging, a reading's time is what the clock's bounds say at that moment. Here all bounds of a boot are known, so
-//! each reading is mapped anew with those around it, earlier and later ones.
+//! each reading is mapped anew with those around it, earlier and later ones. So readings from before a clock had settled,
+//! which the log has with a wide uncertainty or none, come out as well known as those that follow.
+//!
+//! A log may be larger than the memory: its rows are sorted by [`super::sort`], and of its clocks only the tightest bound
+//! of every five seconds is kept.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{self, Write};
@@ -10,6 +14,7 @@ use std::path::Path;
 use super::clock::{self, Bound, ClockFit};
 use super::group::MarkKind;
 use super::read::{LogMessage, LoggedRecord, LoggedReport, read};
+use super::sort::Rows;
 use super::store::{Topic, epoch_of_name, files};
 use crate::input::InputError;
 
@@ -19,6 +24,10 @@ const BIN_US: u64 = 5_000_000;
 const AROUND: usize = 48;
 /// One mapping serves this much board time.
 const SLOT_US: u64 = 10_000_000;
+/// So many mappings are kept at a time.
+const FITS: usize = 1 << 16;
+/// So many rows are sorted in memory at a time, 24 bytes each.
+const ROWS_IN_MEMORY: usize = 1 << 20;
 
 /// A run within a log.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,15 +51,19 @@ pub struct Exported {
     pub out_of_range: u64,
     /// The sensors, in order of name.
     pub sensors: BTreeSet<String>,
-    /// The greatest uncertainty of a time, in seconds; none if some clock was heard in one direction only.
-    pub time_uncertainty_s: Option<f64>,
+    /// The greatest uncertainty of a time, in seconds, of those readings that have one.
+    pub time_uncertainty_s: f64,
+    /// Readings whose time has no uncertainty, because in their boot the clock was heard in one direction only: they were
+    /// read at that time or before.
+    pub times_unbounded: u64,
 }
 
 /// The runs that the marks of a log tell of, in order.
-pub fn runs(path: &Path) -> Result<Vec<LoggedRun>, InputError> {
+pub fn runs(path: &Path, step: &dyn Fn(u64)) -> Result<Vec<LoggedRun>, InputError> {
     let mut runs: Vec<LoggedRun> = Vec::new();
     read(
         path,
+        step,
         |topic| topic == Topic::Marks,
         |_, message| {
             let LogMessage::Mark(mark) = message else {
@@ -77,15 +90,22 @@ pub fn runs(path: &Path) -> Result<Vec<LoggedRun>, InputError> {
 }
 
 /// Writes the readings of a run, or of the whole log, as `time_s,sensor,celsius` with times since the run's start (or the
-/// first reading).
-pub fn export(path: &Path, run: Option<&LoggedRun>, out: &mut impl Write) -> Result<Exported, ExportError> {
-    let clocks = Clocks::read(path)?;
-    let mut exported = Exported { time_uncertainty_s: Some(0.0), ..Exported::default() };
-    let mut rows: Vec<(f64, String, f64)> = Vec::new();
+/// first reading). The log is read twice; `step` is called now and then with how many more bytes were read.
+pub fn export(
+    path: &Path,
+    run: Option<&LoggedRun>,
+    step: &dyn Fn(u64),
+    out: &mut impl Write,
+) -> Result<Exported, ExportError> {
+    let clocks = Clocks::read(path, step)?;
+    let mut exported = Exported::default();
+    let mut rows = Rows::new(ROWS_IN_MEMORY);
+    let mut spilled = Ok(());
     let epochs = epochs(path)?;
     let mut fits = HashMap::new();
     read(
         path,
+        step,
         |topic| matches!(topic, Topic::Readings(_)),
         |file, message| {
             let LogMessage::Record(record) = message else {
@@ -96,8 +116,6 @@ pub fn export(path: &Path, run: Option<&LoggedRun>, out: &mut impl Write) -> Res
             if !inside {
                 return;
             }
-            exported.time_uncertainty_s =
-                exported.time_uncertainty_s.zip(uncertainty_us).map(|(most, us)| most.max(us / 1e6));
             let out_of_range: BTreeSet<&str> = record
                 .status
                 .0
@@ -109,21 +127,26 @@ pub fn export(path: &Path, run: Option<&LoggedRun>, out: &mut impl Write) -> Res
             exported.missing += (record.status.0.len() - record.celsius.0.len()) as u64;
             for (name, celsius) in &record.celsius.0 {
                 if !out_of_range.contains(name.as_str()) {
-                    rows.push((time_s, name.clone(), *celsius));
+                    exported.times_unbounded += u64::from(uncertainty_us.is_none());
+                    if spilled.is_ok() {
+                        spilled = rows.push(time_s, name, *celsius);
+                    }
                 }
+            }
+            if let Some(us) = uncertainty_us {
+                exported.time_uncertainty_s = exported.time_uncertainty_s.max(us / 1e6);
             }
         },
     )?;
-    rows.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
-    let zero_s = run.map_or_else(|| rows.first().map_or(0.0, |row| row.0), |run| run.start_s);
+    spilled?;
     writeln!(out, "time_s,sensor,celsius")?;
-    for (time_s, name, celsius) in rows {
-        writeln!(out, "{:.6},{},{celsius}", time_s - zero_s, quoted(&name))?;
+    let mut zero_s = run.map(|run| run.start_s);
+    exported.sensors = rows.names().map(str::to_owned).collect();
+    rows.in_order(|time_s, name, celsius| {
+        let zero_s = *zero_s.get_or_insert(time_s);
         exported.readings += 1;
-        if !exported.sensors.contains(&name) {
-            exported.sensors.insert(name);
-        }
-    }
+        writeln!(out, "{:.6},{},{celsius}", time_s - zero_s, quoted(name))
+    })?;
     Ok(exported)
 }
 
@@ -164,11 +187,12 @@ struct Bounds {
 }
 
 impl Clocks {
-    fn read(path: &Path) -> Result<Self, InputError> {
+    fn read(path: &Path, step: &dyn Fn(u64)) -> Result<Self, InputError> {
         let mut clocks = Self::default();
         let epochs = epochs(path)?;
         read(
             path,
+            step,
             |topic| matches!(topic, Topic::Status(_)),
             |file, message| {
                 if let LogMessage::Report(report) = message {
@@ -206,6 +230,9 @@ impl Clocks {
             return (record.time_s, None);
         };
         let slot = record.board_us / SLOT_US;
+        if fits.len() >= FITS {
+            fits.clear();
+        }
         let fit = fits
             .entry((record.board, record.boot, epoch, slot))
             .or_insert_with(|| bounds.fit(slot * SLOT_US + SLOT_US / 2));

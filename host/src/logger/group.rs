@@ -11,7 +11,8 @@ use serde::Deserialize;
 use thermokin_protocol::{Battery, GapReason, Identity, Reading, Record, Report, Segment, SensorKind, Signal};
 
 use super::clock::ClockFit;
-use super::store::{GroupBytes, LogFile, Topic};
+use super::digits;
+use super::store::{LogFile, Topic};
 
 /// Entries that become durable together.
 #[derive(Debug, Clone, Default)]
@@ -29,6 +30,8 @@ pub struct Group {
 pub enum Entry {
     /// A datagram as it came, accepted.
     Datagram {
+        /// The board.
+        board: u32,
         /// When it came, on the host's clock in microseconds.
         arrived_us: u64,
         /// Its bytes.
@@ -78,6 +81,17 @@ pub enum Entry {
         /// Its words.
         text: String,
     },
+}
+
+impl Entry {
+    /// The board that it is of.
+    fn board(&self) -> Option<u32> {
+        match self {
+            Entry::Datagram { board, .. } | Entry::Records { board, .. } | Entry::Gap { board, .. } => Some(*board),
+            Entry::Report(entry) => Some(entry.board),
+            Entry::Mark { .. } | Entry::Warning { .. } => None,
+        }
+    }
 }
 
 /// A report's health and times.
@@ -172,6 +186,8 @@ pub struct BoardState {
     pub board: u32,
     /// Its newest boot, one past the highest datagram counter of that boot, and the window of those heard.
     pub guard: (u32, u64, u128),
+    /// The newest boot in which what follows was heard; that of `guard`, unless writing failed since.
+    pub boot: u32,
     /// The store, the limit below which everything is stored or known as lost, and the bitmap above.
     pub inbox: Option<(u32, u64, Vec<Segment>)>,
 }
@@ -182,6 +198,8 @@ struct StateJson {
     boot: u32,
     next: u64,
     heard: String,
+    /// As `boot`, in a log from before there was such a number.
+    store_boot: Option<u32>,
     store: Option<u32>,
     below: u64,
     segments: Vec<(u64, String)>,
@@ -199,73 +217,102 @@ pub fn read_state(json: &[u8]) -> Option<BoardState> {
     Some(BoardState {
         board: state.board,
         guard: (state.boot, state.next, heard),
+        boot: state.store_boot.unwrap_or(state.boot),
         inbox: state.store.map(|store| (store, state.below, segments)),
     })
 }
 
-/// Encodes a group for a file.
-pub fn encode_group(group: &Group, file: &LogFile) -> io::Result<GroupBytes> {
-    let mut bytes = GroupBytes::default();
-    for entry in &group.entries {
-        encode_entry(entry, file, &mut bytes)?;
-    }
-    for state in &group.states {
-        file.message(&mut bytes, Topic::Delivery, group.closed_us * 1000, |out| {
-            let (boot, next, heard) = state.guard;
-            let store = state.inbox.as_ref().map_or("null".to_owned(), |inbox| inbox.0.to_string());
-            let below = state.inbox.as_ref().map_or(0, |inbox| inbox.1);
-            put(out, format_args!(
-                r#"{{"board":{},"boot":{boot},"next":{next},"heard":"{heard:x}","store":{store},"below":{below},"segments":["#,
-                state.board
-            ));
-            for (index, segment) in state.inbox.iter().flat_map(|inbox| &inbox.2).enumerate() {
-                let comma = if index > 0 { "," } else { "" };
-                put(out, format_args!(r#"{comma}[{},"{:x}"]"#, segment.from, segment.bits));
+/// Adds a group to a file, to be committed.
+///
+/// A board's entries stand together, with what must be remembered of it behind them, and only there may a chunk end: so
+/// what is remembered is never behind what is stored, whichever chunks of a group a loss of power leaves.
+pub fn encode_group(group: &Group, file: &mut LogFile) -> io::Result<()> {
+    let entries = group.entries.iter().map(Entry::board);
+    let states = group.states.iter().map(|state| Some(state.board));
+    let mut order: Vec<(Option<u32>, usize)> = entries.chain(states).zip(0..).collect();
+    order.sort_unstable();
+    for of_board in order.chunk_by(|a, b| a.0 == b.0) {
+        for &(_, index) in of_board {
+            match index.checked_sub(group.entries.len()) {
+                None => encode_entry(&group.entries[index], file)?,
+                Some(index) => encode_state(&group.states[index], group.closed_us, file)?,
             }
-            out.extend_from_slice(b"]}");
-        })?;
+        }
+        file.may_end_chunk()?;
     }
-    Ok(bytes)
+    Ok(())
 }
 
-fn encode_entry(entry: &Entry, file: &LogFile, bytes: &mut GroupBytes) -> io::Result<()> {
+/// Adds to a file what must be remembered of all boards, in one chunk.
+pub fn encode_states<'a>(
+    states: impl IntoIterator<Item = &'a BoardState>,
+    closed_us: u64,
+    file: &mut LogFile,
+) -> io::Result<()> {
+    states.into_iter().try_for_each(|state| encode_state(state, closed_us, file))
+}
+
+fn encode_state(state: &BoardState, closed_us: u64, file: &mut LogFile) -> io::Result<()> {
+    file.message(Topic::Delivery, 0, closed_us * 1000, |out| {
+        let (boot, next, heard) = state.guard;
+        let store = state.inbox.as_ref().map_or("null".to_owned(), |inbox| inbox.0.to_string());
+        let below = state.inbox.as_ref().map_or(0, |inbox| inbox.1);
+        put(
+            out,
+            format_args!(
+                r#"{{"board":{},"boot":{boot},"next":{next},"heard":"{heard:x}","store_boot":{},"store":{store},"below":{below},"segments":["#,
+                state.board, state.boot
+            ),
+        );
+        for (index, segment) in state.inbox.iter().flat_map(|inbox| &inbox.2).enumerate() {
+            let comma = if index > 0 { "," } else { "" };
+            put(out, format_args!(r#"{comma}[{},"{:x}"]"#, segment.from, segment.bits));
+        }
+        out.extend_from_slice(b"]}");
+    })
+}
+
+fn encode_entry(entry: &Entry, file: &mut LogFile) -> io::Result<()> {
     match entry {
-        Entry::Datagram { arrived_us, bytes: datagram } => {
-            file.message(bytes, Topic::Datagrams, arrived_us * 1000, |out| out.extend_from_slice(datagram))
+        Entry::Datagram { arrived_us, bytes, .. } => {
+            file.message(Topic::Datagrams, 0, arrived_us * 1000, |out| out.extend_from_slice(bytes))
         }
         Entry::Report(entry) => {
-            file.message(bytes, Topic::Status(entry.board), entry.arrived_us * 1000, |out| encode_report(out, entry))
+            let (sequence, time_ns) = (entry.counter as u32, entry.arrived_us * 1000);
+            file.message(Topic::Status(entry.board), sequence, time_ns, |out| encode_report(out, entry))
         }
         Entry::Records { board, store, boot, fit, arrived_us, sensors, records } => {
             for record in records {
                 let host_us = fit.as_ref().map_or(*arrived_us as f64, |fit| fit.host_us(record.time_us)).max(0.0);
                 let uncertainty = fit.as_ref().and_then(|fit| fit.uncertainty_us(record.time_us));
                 let place = (*board, *store, *boot);
-                file.message(bytes, Topic::Readings(*board), (host_us * 1000.0) as u64, |out| {
+                let time_ns = (host_us * 1000.0) as u64;
+                file.message(Topic::Readings(*board), record.sequence as u32, time_ns, |out| {
                     encode_record(out, place, host_us as u64, uncertainty, sensors, record);
                 })?;
             }
             Ok(())
         }
-        Entry::Gap { board, arrived_us, gap } => file.message(bytes, Topic::Gaps, arrived_us * 1000, |out| {
+        Entry::Gap { board, arrived_us, gap } => file.message(Topic::Gaps, 0, arrived_us * 1000, |out| {
             let until = gap.until.map_or("null".to_owned(), |until| until.to_string());
             let reason = match gap.reason {
                 GapReason::NotHeld => "not_held",
                 GapReason::StoreEnded => "store_ended",
+                GapReason::Unheard => "unheard",
             };
             put(
                 out,
                 format_args!(
-                    r#"{{"board":{board},"store":{},"from":{},"until":{until},"reason":"{reason}"}}"#,
-                    gap.store, gap.from
+                    r#"{{"board":{board},"store":{},"stores_until":{},"from":{},"until":{until},"reason":"{reason}"}}"#,
+                    gap.store, gap.stores_until, gap.from
                 ),
             );
         }),
-        Entry::Mark { time_us, kind, name } => file.message(bytes, Topic::Marks, time_us * 1000, |out| {
+        Entry::Mark { time_us, kind, name } => file.message(Topic::Marks, 0, time_us * 1000, |out| {
             let (kind, name) = (kind.name(), serde_json::Value::from(name.as_str()));
             put(out, format_args!(r#"{{"time_s":{},"kind":"{kind}","name":{name}}}"#, Seconds(*time_us)));
         }),
-        Entry::Warning { time_us, text } => file.message(bytes, Topic::Warnings, time_us * 1000, |out| {
+        Entry::Warning { time_us, text } => file.message(Topic::Warnings, 0, time_us * 1000, |out| {
             let text = serde_json::Value::from(text.as_str());
             put(out, format_args!(r#"{{"time_s":{},"text":{text}}}"#, Seconds(*time_us)));
         }),
@@ -280,41 +327,57 @@ fn encode_record(
     sensors: &[SensorLabel],
     record: &Record,
 ) {
-    put(out, format_args!(r#"{{"time_s":{},"uncertainty_s":"#, Seconds(host_us)));
+    out.extend_from_slice(br#"{"time_s":"#);
+    digits::seconds(out, host_us);
+    out.extend_from_slice(br#","uncertainty_s":"#);
     match uncertainty_us {
-        Some(us) => put(out, format_args!("{}", Seconds(us.ceil() as u64))),
+        Some(us) => digits::seconds(out, us.ceil() as u64),
         None => out.extend_from_slice(b"null"),
     }
-    put(
-        out,
-        format_args!(
-            r#","board":{board},"store":{store},"boot":{boot},"sequence":{},"board_us":{},"celsius":{{"#,
-            record.sequence, record.time_us
-        ),
-    );
-    let each = || sensors.iter().zip(&record.readings);
-    let mut comma = "";
-    for (sensor, reading) in each() {
-        if let Reading::Ok(counts) | Reading::OutOfRange(counts) = reading {
-            put(out, format_args!("{comma}{}:{}", sensor.json, sensor.kind.celsius(*counts)));
-            comma = ",";
+    let numbers = [
+        (&br#","board":"#[..], u64::from(board)),
+        (br#","store":"#, u64::from(store)),
+        (br#","boot":"#, u64::from(boot)),
+        (br#","sequence":"#, record.sequence),
+        (br#","board_us":"#, record.time_us),
+    ];
+    for (name, number) in numbers {
+        out.extend_from_slice(name);
+        digits::unsigned(out, number);
+    }
+    let mut each = |name: &[u8], value: &dyn Fn(&mut Vec<u8>, SensorKind, Reading) -> bool| {
+        out.extend_from_slice(name);
+        let empty = out.len();
+        for (sensor, reading) in sensors.iter().zip(&record.readings) {
+            let start = out.len();
+            out.extend_from_slice(if start > empty { b"," } else { b"" });
+            out.extend_from_slice(sensor.json.as_bytes());
+            out.push(b':');
+            if !value(out, sensor.kind, *reading) {
+                out.truncate(start);
+            }
         }
-    }
-    out.extend_from_slice(br#"},"counts":{"#);
-    comma = "";
-    for (sensor, reading) in each() {
-        if let Reading::Ok(counts) | Reading::OutOfRange(counts) = reading {
-            put(out, format_args!("{comma}{}:{counts}", sensor.json));
-            comma = ",";
+    };
+    each(br#","celsius":{"#, &|out, kind, reading| {
+        counts_of(reading).map(|counts| digits::celsius(out, kind, counts)).is_some()
+    });
+    each(br#"},"counts":{"#, &|out, _, reading| {
+        counts_of(reading).map(|counts| digits::signed(out, counts.into())).is_some()
+    });
+    each(br#"},"status":{"#, &|out, _, reading| {
+        for part in ["\"", status_name(reading), "\""] {
+            out.extend_from_slice(part.as_bytes());
         }
-    }
-    out.extend_from_slice(br#"},"status":{"#);
-    comma = "";
-    for (sensor, reading) in each() {
-        put(out, format_args!(r#"{comma}{}:"{}""#, sensor.json, status_name(*reading)));
-        comma = ",";
-    }
+        true
+    });
     out.extend_from_slice(b"}}");
+}
+
+fn counts_of(reading: Reading) -> Option<i16> {
+    match reading {
+        Reading::Ok(counts) | Reading::OutOfRange(counts) => Some(counts),
+        Reading::Absent | Reading::BusError => None,
+    }
 }
 
 /// The name of a reading's status in the log.

@@ -6,6 +6,7 @@
 
 pub mod civil;
 pub mod clock;
+mod digits;
 pub mod engine;
 pub mod export;
 pub mod gauge;
@@ -15,6 +16,7 @@ pub mod registry;
 pub mod scenario;
 pub mod serve;
 pub mod sink;
+mod sort;
 pub mod store;
 pub mod verify;
 pub mod virtual_board;

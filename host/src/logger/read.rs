@@ -88,10 +88,20 @@ pub struct LoggedGap {
     pub board: u32,
     /// The store.
     pub store: u32,
+    /// One past the last store that this says the same of; none in a log from before there was such a number.
+    pub stores_until: Option<u32>,
     /// The first sequence.
     pub from: u64,
     /// One past the last; none where nobody knows how many there were.
     pub until: Option<u64>,
+}
+
+impl LoggedGap {
+    /// Whether it says that a record will never come.
+    pub fn tells(&self, store: u32, sequence: u64) -> bool {
+        let stores = self.store..self.stores_until.unwrap_or(self.store.saturating_add(1));
+        stores.contains(&store) && self.from <= sequence && self.until.is_none_or(|until| sequence < until)
+    }
 }
 
 /// A run's start or stop, or a mark, from `/marks`.
@@ -118,10 +128,19 @@ pub enum LogMessage {
     Mark(LoggedMark),
 }
 
+/// How many bytes a log has: what one [`read`] of it steps through.
+pub fn size(path: &Path) -> Result<u64, InputError> {
+    let failed = |error: std::io::Error| InputError::of_file(path, error.to_string());
+    let files = store::files(path).map_err(failed)?;
+    files.iter().map(|file| Ok(file.metadata().map_err(failed)?.len())).sum()
+}
+
 /// Reads every log file of a folder, or one file, oldest first, and calls `each` with the file's place in the order and
-/// those messages that `wanted` picks. Returns the files with what their scans found.
+/// those messages that `wanted` picks; `step` is called now and then with how many more bytes were read. Returns the
+/// files with what their scans found.
 pub fn read(
     path: &Path,
+    step: &dyn Fn(u64),
     wanted: impl Fn(Topic) -> bool,
     mut each: impl FnMut(usize, LogMessage),
 ) -> Result<Vec<(PathBuf, Scan)>, InputError> {
@@ -132,7 +151,7 @@ pub fn read(
     let mut scans = Vec::new();
     for (index, file) in files.into_iter().enumerate() {
         let mut wrong = None;
-        let scan = store::scan(&file, |logged| {
+        let scan = store::scan_stepwise(&file, step, |logged| {
             if logged.topic.is_some_and(&wanted) {
                 match parse(&logged) {
                     Ok(Some(message)) => each(index, message),

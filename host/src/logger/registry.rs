@@ -1,5 +1,6 @@
 //! The registry of link boards: who they are, where they sit, and their keys. A TOML file of mode 0600.
 
+use std::collections::HashSet;
 use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
@@ -9,6 +10,9 @@ use serde::{Deserialize, Serialize};
 use thermokin_protocol::{Key, MAX_SENSORS, PowerMode, Settings};
 
 use crate::input::{InputError, line_of_offset};
+
+/// The most boards of a registry: an MCAP file has 65,535 channels, of which a board takes two.
+const MAX_BOARDS: usize = 32_000;
 
 /// The boards that the host knows, and the settings that they shall have.
 #[derive(Debug, Clone)]
@@ -125,10 +129,14 @@ impl Registry {
         if toml.format != 1 {
             return Err(InputError::of_file(path, format!("has format {}, expected 1", toml.format)));
         }
-        let mut boards: Vec<Board> = Vec::new();
+        if toml.board.len() > MAX_BOARDS {
+            let message = format!("has {} boards, expected at most {MAX_BOARDS} for one logger", toml.board.len());
+            return Err(InputError::of_file(path, message));
+        }
+        let (mut boards, mut numbers) = (Vec::new(), HashSet::new());
         for entry in toml.board {
             let wrong = |message: String| InputError::of_file(path, format!("board {}: {message}", entry.board));
-            if boards.iter().any(|board| board.board == entry.board) {
+            if !numbers.insert(entry.board) {
                 return Err(wrong("stands twice, expected each board once".to_owned()));
             }
             if entry.sensors.len() > MAX_SENSORS {

@@ -16,7 +16,6 @@ use super::group::{Group, MarkKind};
 use super::registry::Registry;
 use super::sink::{Sink, SinkError};
 use super::store::{Attachment, Finished, Rotation, Store, StoreError};
-use super::watch::Trouble;
 use crate::input::InputError;
 use crate::robot::Robot;
 
@@ -26,10 +25,6 @@ const PATIENCE: Duration = Duration::from_millis(5);
 const TICK_US: u64 = 250_000;
 /// How often a sink that failed is tried again.
 const RETRY_US: u64 = 1_000_000;
-/// The disk counts as nearly full below this many bytes…
-const NEARLY_FULL: u64 = 512 << 20;
-/// …and as good again above this many.
-const ROOM_AGAIN: u64 = 640 << 20;
 /// The socket's buffer asked for: what 10,000 boards send while a thread is held up for a quarter of a second.
 const SOCKET_BUFFER: usize = 8 << 20;
 
@@ -165,8 +160,9 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
     let socket = UdpSocket::bind(options.listen)
         .and_then(|socket| socket.set_read_timeout(Some(PATIENCE)).map(|()| socket))
         .map_err(|error| ServeError::Listen { address: options.listen, error })?;
-    // A kernel that gives less only means more datagrams that are sent twice.
-    let _ = rustix::net::sockopt::set_socket_recv_buffer_size(&socket, SOCKET_BUFFER);
+    // Only root may have more than the kernel's limit; one that gives less only means more datagrams that are sent twice.
+    let _ = rustix::net::sockopt::set_socket_recv_buffer_size_force(&socket, SOCKET_BUFFER)
+        .or_else(|_| rustix::net::sockopt::set_socket_recv_buffer_size(&socket, SOCKET_BUFFER));
     let listen = socket.local_addr().unwrap_or(options.listen);
     let (store, finished) = Store::open(&options.store, options.rotation, attachments, clock.now_us())?;
     let engine = Engine::new(store.epoch(), &registry, names, store.states().clone());
@@ -347,14 +343,7 @@ impl Logger {
         };
         let free = disk.f_bavail * disk.f_frsize;
         self.state.free = Some(free);
-        let watch = self.engine.watch_mut();
-        if free < NEARLY_FULL {
-            watch.raise(Trouble::DiskNearlyFull, now_us, || {
-                format!("the disk is nearly full: {} MB are free", free / 1_000_000)
-            });
-        } else if free > ROOM_AGAIN {
-            watch.clear(&Trouble::DiskNearlyFull, now_us, |_| "the disk has room again".to_owned());
-        }
+        self.engine.on_disk(free, now_us);
     }
 
     fn wish(&mut self, wish: Wish, view: &mut dyn View, stop: &AtomicBool) {

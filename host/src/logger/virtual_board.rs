@@ -114,6 +114,8 @@ pub struct Outcome {
     pub reboots: u64,
     /// Datagrams replayed.
     pub replayed: u64,
+    /// The schema version of a host that the boards could not understand.
+    pub host_version: Option<u8>,
     /// The longest time, in seconds, between taking a record and having its acknowledgement.
     pub slowest_s: f64,
     /// Every record, if it was kept.
@@ -529,8 +531,10 @@ fn hear<const RECORDS: usize>(board: &mut Board<RECORDS>, now_us: u64, datagram:
     let Some(link) = &mut board.link else {
         return;
     };
+    let heard = link.receive(board_us, datagram);
+    outcome.host_version = link.host_version().or(outcome.host_version);
     // A datagram that is refused is counted by the board and reported to the host.
-    let Ok(heard) = link.receive(board_us, datagram) else {
+    let Ok(heard) = heard else {
         return;
     };
     if heard.released == 0 {

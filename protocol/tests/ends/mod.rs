@@ -38,7 +38,7 @@ pub fn message(bytes: &[u8]) {
     // The second time it is a message of a later boot, which meets what the first left behind.
     for boot in [5, 6] {
         if let Ok(received) = host.open(&mut sealed(Direction::ToHost, boot, bytes)) {
-            let _ = host.inbox_mut().accept(&received.report.batch, |_| {});
+            let _ = host.inbox_mut().accept(received.boot, &received.report.batch, |_| {});
             host.inbox_mut().begin_commit();
             host.inbox_mut().finish_commit();
             let _ = host.inbox_mut().acknowledgement();

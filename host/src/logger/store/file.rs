@@ -1,37 +1,41 @@
 //! One log file: groups of messages appended, each durable when it is said to be.
 //!
-//! A group is one chunk with its CRC and indexes, written at once and followed by `sync_data`. Whatever is cut off or
-//! damaged behind the last whole group was never acknowledged.
+//! A group is one or several chunks, each with its CRC and indexes, followed by one `sync_data`. A chunk is whole in
+//! itself: it has everything of the boards in it, with what must be remembered of them. Whatever is cut off or damaged
+//! behind the last whole chunk was never acknowledged.
 
-use std::collections::{BTreeMap, HashMap};
-use std::fs::{File, OpenOptions};
+use std::collections::HashMap;
+use std::fs::OpenOptions;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use super::chunk::OpenChunk;
 use super::mcap::{self, opcode};
-use super::summary::{AttachmentEntry, ChunkEntry, Summary};
+use super::medium::{Disk, DiskFile};
+use super::summary::{AttachmentEntry, Summary};
 use super::topic::Topic;
+
+/// A chunk that has this many bytes is written at the next place where it may end. A file is read chunk by chunk, here and
+/// by other tools, and a group that gathered while the disk was busy is not held in memory as a whole.
+const CHUNK_BYTES: usize = 4 << 20;
 
 /// A file that is being written.
 #[derive(Debug)]
 pub struct LogFile {
-    file: File,
+    file: Box<dyn DiskFile>,
     path: PathBuf,
     /// Everything before this byte is durable.
     durable: u64,
+    /// Everything before this byte is written.
+    written: u64,
+    /// What the end of the file will say of everything written.
     summary: Summary,
     channels: HashMap<Topic, u16>,
-}
-
-/// The messages of a group that is being gathered for a file.
-#[derive(Debug, Default)]
-pub struct GroupBytes {
-    records: Vec<u8>,
-    indexes: BTreeMap<u16, Vec<(u64, u64)>>,
-    times_ns: Option<(u64, u64)>,
-    new_schemas: BTreeMap<u16, Vec<u8>>,
-    new_channels: HashMap<Topic, u16>,
-    new_channel_records: BTreeMap<u16, Vec<u8>>,
+    chunk: OpenChunk,
+    /// What a roll-back takes out of the summary again: the chunks from this one on, and these channels and schemas.
+    durable_chunks: usize,
+    new_channels: Vec<Topic>,
+    new_schemas: Vec<u16>,
 }
 
 /// Something that rides along in each file: robot.toml, the settings.
@@ -47,8 +51,8 @@ pub struct Attachment {
 
 impl LogFile {
     /// Creates a file that must not exist yet, durable with its attachments and its name.
-    pub fn create(path: &Path, attachments: &[Attachment], time_ns: u64) -> io::Result<Self> {
-        let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
+    pub fn create(disk: &mut dyn Disk, path: &Path, attachments: &[Attachment], time_ns: u64) -> io::Result<Self> {
+        let mut file = disk.create(path)?;
         let mut out = mcap::MAGIC.to_vec();
         mcap::header(&mut out);
         let mut summary = Summary::default();
@@ -63,13 +67,24 @@ impl LogFile {
                 media_type: attachment.media_type.clone(),
             });
         }
-        let written = file.write_all(&out).and_then(|()| file.sync_all()).and_then(|()| sync_folder(path));
+        let written = file.append(&out).and_then(|()| file.sync()).and_then(|()| disk.sync_name(path));
         if let Err(error) = written {
             // Nothing was acknowledged into it; an empty file would only be in the way.
-            let _ = std::fs::remove_file(path);
+            let _ = disk.remove(path);
             return Err(error);
         }
-        Ok(Self { file, path: path.to_owned(), durable: out.len() as u64, summary, channels: HashMap::new() })
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            durable: out.len() as u64,
+            written: out.len() as u64,
+            summary,
+            channels: HashMap::new(),
+            chunk: OpenChunk::new(),
+            durable_chunks: 0,
+            new_channels: Vec::new(),
+            new_schemas: Vec::new(),
+        })
     }
 
     /// Where the file is.
@@ -82,100 +97,104 @@ impl LogFile {
         self.durable
     }
 
-    /// Adds a message to a group that will be written to this file.
+    /// Adds a message; it is written with [`LogFile::may_end_chunk`] or [`LogFile::commit`].
     ///
     /// # Errors
     ///
     /// If the file has no channel left: MCAP numbers them with 16 bits.
     pub fn message(
-        &self,
-        group: &mut GroupBytes,
+        &mut self,
         topic: Topic,
+        sequence: u32,
         time_ns: u64,
         content: impl FnOnce(&mut Vec<u8>),
     ) -> io::Result<()> {
-        let channel = match self.channels.get(&topic).or_else(|| group.new_channels.get(&topic)) {
+        let channel = match self.channels.get(&topic) {
             Some(&channel) => channel,
-            None => self.add_channel(group, topic)?,
+            None => self.add_channel(topic)?,
         };
-        let index = group.indexes.entry(channel).or_default();
-        let sequence = index.len() as u32;
-        index.push((time_ns, group.records.len() as u64));
-        let (start, end) = group.times_ns.unwrap_or((time_ns, time_ns));
-        group.times_ns = Some((start.min(time_ns), end.max(time_ns)));
-        mcap::message(&mut group.records, channel, sequence, time_ns, content);
+        self.chunk.message(channel, sequence, time_ns, content);
         Ok(())
     }
 
-    /// Writes a group and syncs it. On an error nothing of it counts: the file is cut back to what was durable.
-    pub fn commit(&mut self, group: GroupBytes) -> io::Result<()> {
-        let Some(times_ns) = group.times_ns else {
-            return Ok(());
-        };
-        let mut out = Vec::with_capacity(group.records.len() + group.records.len() / 8 + 1024);
-        mcap::chunk(&mut out, times_ns.0, times_ns.1, &group.records);
-        let chunk_length = out.len() as u64;
-        let mut indexes = BTreeMap::new();
-        for (&channel, entries) in &group.indexes {
-            indexes.insert(channel, self.durable + out.len() as u64);
-            mcap::message_index(&mut out, channel, entries);
+    /// Says that what was added until now is whole without what follows: a long chunk is written.
+    ///
+    /// # Errors
+    ///
+    /// If it cannot be written; [`LogFile::roll_back`] must follow.
+    pub fn may_end_chunk(&mut self) -> io::Result<()> {
+        if self.chunk.len() >= CHUNK_BYTES { self.write_chunk() } else { Ok(()) }
+    }
+
+    /// Writes what was added and syncs everything.
+    ///
+    /// # Errors
+    ///
+    /// If nothing of it may count as durable; [`LogFile::roll_back`] must follow.
+    pub fn commit(&mut self) -> io::Result<()> {
+        self.write_chunk()?;
+        if self.written > self.durable {
+            self.file.sync()?;
         }
-        let written = self.file.write_all(&out).and_then(|()| self.file.sync_data());
-        if let Err(error) = written {
-            // Should this fail as well, whoever scans the file stops at the torn group.
-            let _ = self.file.set_len(self.durable).and_then(|()| self.file.seek(SeekFrom::Start(self.durable)));
-            return Err(error);
-        }
-        self.summary.chunks.push(ChunkEntry {
-            times_ns,
-            place: (self.durable, chunk_length),
-            indexes,
-            indexes_length: out.len() as u64 - chunk_length,
-            size: group.records.len() as u64,
-        });
-        self.durable += out.len() as u64;
-        for (channel, entries) in group.indexes {
-            *self.summary.counts.entry(channel).or_default() += entries.len() as u64;
-        }
-        self.summary.schemas.extend(group.new_schemas);
-        self.summary.channels.extend(group.new_channel_records);
-        self.channels.extend(group.new_channels);
+        self.durable = self.written;
+        self.durable_chunks = self.summary.chunks.len();
+        self.new_channels.clear();
+        self.new_schemas.clear();
         Ok(())
+    }
+
+    /// Goes back to what is durable, after an error.
+    ///
+    /// # Errors
+    ///
+    /// If the file does not let itself be cut: nothing may be added to it any more.
+    pub fn roll_back(&mut self) -> io::Result<()> {
+        self.written = self.durable;
+        self.chunk.clear();
+        self.summary.forget_chunks(self.durable_chunks);
+        for topic in self.new_channels.drain(..) {
+            if let Some(channel) = self.channels.remove(&topic) {
+                self.summary.channels.remove(&channel);
+            }
+        }
+        for schema in self.new_schemas.drain(..) {
+            self.summary.schemas.remove(&schema);
+        }
+        self.file.cut(self.durable)
     }
 
     /// Writes the summary, so that other tools find their way in the file, and syncs it.
     pub fn finish(mut self) -> io::Result<()> {
         let end = self.summary.end_of_file(self.durable);
-        self.file.write_all(&end).and_then(|()| self.file.sync_all())
+        self.file.append(&end).and_then(|()| self.file.sync())
     }
 
-    fn add_channel(&self, group: &mut GroupBytes, topic: Topic) -> io::Result<u16> {
-        let known = self.channels.len() + group.new_channels.len();
-        let channel = u16::try_from(known + 1)
+    fn write_chunk(&mut self) -> io::Result<()> {
+        let Some((bytes, entry)) = self.chunk.close(self.written) else {
+            return Ok(());
+        };
+        self.file.append(bytes)?;
+        self.written += bytes.len() as u64;
+        self.summary.add_chunk(entry);
+        self.chunk.clear();
+        Ok(())
+    }
+
+    fn add_channel(&mut self, topic: Topic) -> io::Result<u16> {
+        let channel = u16::try_from(self.channels.len() + 1)
             .map_err(|_| io::Error::other("an MCAP file has room for 65535 channels, more boards need another log"))?;
         let (schema, name, data) = topic.schema();
-        if schema != 0 && !self.summary.schemas.contains_key(&schema) && !group.new_schemas.contains_key(&schema) {
-            let start = group.records.len();
-            mcap::schema(&mut group.records, schema, name, data);
-            group.new_schemas.insert(schema, group.records[start..].to_vec());
+        if schema != 0 && !self.summary.schemas.contains_key(&schema) {
+            let record = self.chunk.record(|out| mcap::schema(out, schema, name, data)).to_vec();
+            self.summary.schemas.insert(schema, record);
+            self.new_schemas.push(schema);
         }
-        let start = group.records.len();
-        mcap::channel(&mut group.records, channel, schema, &topic.name(), topic.encoding());
-        group.new_channel_records.insert(channel, group.records[start..].to_vec());
-        group.new_channels.insert(topic, channel);
+        let record =
+            self.chunk.record(|out| mcap::channel(out, channel, schema, &topic.name(), topic.encoding())).to_vec();
+        self.summary.channels.insert(channel, record);
+        self.channels.insert(topic, channel);
+        self.new_channels.push(topic);
         Ok(channel)
-    }
-}
-
-impl GroupBytes {
-    /// How many bytes of records were gathered.
-    pub fn len(&self) -> usize {
-        self.records.len()
-    }
-
-    /// Whether nothing was gathered.
-    pub fn is_empty(&self) -> bool {
-        self.records.is_empty()
     }
 }
 
@@ -186,12 +205,6 @@ pub fn finish_in_place(path: &Path, valid: u64, summary: &Summary) -> io::Result
     file.seek(SeekFrom::Start(valid))?;
     file.write_all(&summary.end_of_file(valid))?;
     file.sync_all()
-}
-
-/// Makes the name of a new file durable.
-pub fn sync_folder(path: &Path) -> io::Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    File::open(folder)?.sync_all()
 }
 
 /// The kinds of records that stand before and between groups.

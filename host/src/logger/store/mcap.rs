@@ -80,21 +80,31 @@ pub fn message(out: &mut Vec<u8>, channel: u16, sequence: u32, time_ns: u64, con
     });
 }
 
-/// Appends an uncompressed chunk of records, with their CRC.
-pub fn chunk(out: &mut Vec<u8>, start_ns: u64, end_ns: u64, records: &[u8]) {
-    record(out, opcode::CHUNK, |out| {
-        out.extend_from_slice(&start_ns.to_le_bytes());
-        out.extend_from_slice(&end_ns.to_le_bytes());
-        out.extend_from_slice(&(records.len() as u64).to_le_bytes());
-        out.extend_from_slice(&crc32fast::hash(records).to_le_bytes());
-        text(out, "");
-        out.extend_from_slice(&(records.len() as u64).to_le_bytes());
-        out.extend_from_slice(records);
-    });
+/// The bytes of a chunk record in front of its records.
+pub const CHUNK_HEAD: usize = 9 + 8 + 8 + 8 + 4 + 4 + 8;
+
+/// Fills in the head of an uncompressed chunk: its records, of these times, stand behind the room for it.
+///
+/// # Panics
+///
+/// If there is no room for it.
+pub fn chunk_head(bytes: &mut [u8], (start_ns, end_ns): (u64, u64)) {
+    let (head, records) = bytes.split_at_mut(CHUNK_HEAD);
+    let length = records.len() as u64;
+    let mut out = Vec::with_capacity(CHUNK_HEAD);
+    out.push(opcode::CHUNK);
+    out.extend_from_slice(&(CHUNK_HEAD as u64 - 9 + length).to_le_bytes());
+    out.extend_from_slice(&start_ns.to_le_bytes());
+    out.extend_from_slice(&end_ns.to_le_bytes());
+    out.extend_from_slice(&length.to_le_bytes());
+    out.extend_from_slice(&crc32fast::hash(records).to_le_bytes());
+    text(&mut out, "");
+    out.extend_from_slice(&length.to_le_bytes());
+    head.copy_from_slice(&out);
 }
 
 /// Appends the index of one channel's messages in the chunk before: (time, offset within the chunk's records).
-pub fn message_index(out: &mut Vec<u8>, channel: u16, entries: &[(u64, u64)]) {
+pub fn message_index(out: &mut Vec<u8>, channel: u16, entries: impl ExactSizeIterator<Item = (u64, u64)>) {
     record(out, opcode::MESSAGE_INDEX, |out| {
         out.extend_from_slice(&channel.to_le_bytes());
         out.extend_from_slice(&((entries.len() * 16) as u32).to_le_bytes());
@@ -103,6 +113,11 @@ pub fn message_index(out: &mut Vec<u8>, channel: u16, entries: &[(u64, u64)]) {
             out.extend_from_slice(&offset.to_le_bytes());
         }
     });
+}
+
+/// The length of the index of so many messages.
+pub fn message_index_length(messages: u64) -> u64 {
+    9 + 2 + 4 + 16 * messages
 }
 
 /// Appends an attachment, with its CRC.

@@ -14,6 +14,13 @@ use crate::input::InputError;
 /// By channel: the time of each message, and its offset within the group's records.
 type Indexes = BTreeMap<u16, Vec<(u64, u64)>>;
 
+/// A chunk that was read, with those of its indexes that were not.
+struct OpenGroup {
+    entry: ChunkEntry,
+    indexes: Indexes,
+    records: Vec<u8>,
+}
+
 /// What a scan found.
 #[derive(Debug, Clone)]
 pub struct Scan {
@@ -52,14 +59,24 @@ pub struct Logged<'a> {
 /// # Errors
 ///
 /// If the file cannot be read, or is not an MCAP file at all; a file that is cut off or damaged is no error.
-pub fn scan(path: &Path, mut each: impl FnMut(Logged<'_>)) -> Result<Scan, InputError> {
-    scan_attachments(path, |_, _| {}, &mut each)
+pub fn scan(path: &Path, each: impl FnMut(Logged<'_>)) -> Result<Scan, InputError> {
+    scan_stepwise(path, |_| {}, each)
 }
 
-/// As [`scan`], and calls `attached` with the name and the bytes of each attachment.
-pub fn scan_attachments(
+/// As [`scan`], and calls `step` now and then with how many more bytes were read.
+pub fn scan_stepwise(path: &Path, step: impl FnMut(u64), each: impl FnMut(Logged<'_>)) -> Result<Scan, InputError> {
+    scan_to(path, u64::MAX, step, each)
+}
+
+/// As [`scan`], of the first `limit` bytes: nothing behind them counts.
+pub(super) fn scan_part(path: &Path, limit: u64, each: impl FnMut(Logged<'_>)) -> Result<Scan, InputError> {
+    scan_to(path, limit, |_| {}, each)
+}
+
+fn scan_to(
     path: &Path,
-    mut attached: impl FnMut(&str, &[u8]),
+    limit: u64,
+    mut step: impl FnMut(u64),
     mut each: impl FnMut(Logged<'_>),
 ) -> Result<Scan, InputError> {
     let failed = |error: io::Error| InputError::of_file(path, error.to_string());
@@ -73,10 +90,14 @@ pub fn scan_attachments(
     let mut scan = Scan { valid: 8, length, finished: false, damage: None, summary: Summary::default() };
     let mut topics: BTreeMap<u16, Option<Topic>> = BTreeMap::new();
     // The group that is being read: a chunk whose indexes are not all there yet.
-    let mut open: Option<(ChunkEntry, Indexes, Vec<u8>)> = None;
+    let mut open: Option<OpenGroup> = None;
+    let mut expected = Vec::new();
     let mut position = 8;
     let mut content = Vec::new();
     scan.damage = loop {
+        if position >= limit {
+            break Some(format!("the file that follows says that nothing counts from byte {limit} on"));
+        }
         if position == length {
             break open.is_some().then(|| "cut off within a group".to_owned());
         }
@@ -96,14 +117,14 @@ pub fn scan_attachments(
         reader.read_exact(&mut content).map_err(failed)?;
         let start = position;
         position += 9 + size;
+        step(9 + size);
         match head[0] {
-            opcode::DATA_END => break None,
+            opcode::DATA_END if open.is_none() => break None,
             opcode::HEADER if open.is_none() => scan.valid = position,
             opcode::ATTACHMENT if open.is_none() => {
-                let Some((entry, data)) = attachment(&content, (start, position - start)) else {
+                let Some(entry) = attachment(&content, (start, position - start)) else {
                     break Some(format!("damaged attachment at byte {start}"));
                 };
-                attached(&entry.name, data);
                 scan.summary.attachments.push(entry);
                 scan.valid = position;
             }
@@ -111,37 +132,33 @@ pub fn scan_attachments(
                 let Some((start_ns, end_ns, records)) = mcap::chunk_records(&content) else {
                     break Some(format!("damaged group at byte {start}"));
                 };
-                let entry = ChunkEntry {
-                    times_ns: (start_ns, end_ns),
-                    place: (start, position - start),
-                    indexes: BTreeMap::new(),
-                    indexes_length: 0,
-                    size: records.len() as u64,
-                };
+                let entry = ChunkEntry::new((start_ns, end_ns), (start, position - start), records.len() as u64);
                 let Some(indexes) = indexes_of(records) else {
                     break Some(format!("damaged group at byte {start}"));
                 };
-                open = Some((entry, indexes, records.to_vec()));
+                open = Some(OpenGroup { entry, indexes, records: records.to_vec() });
             }
             opcode::MESSAGE_INDEX => {
-                let (Some((entry, indexes, _)), Some(channel)) = (&mut open, Fields(&content).u16()) else {
+                let Some(group) = &mut open else {
                     break Some(format!("an index without a group at byte {start}"));
                 };
-                // No CRC guards an index, but it follows from its group.
-                let mut expected = Vec::new();
-                mcap::message_index(&mut expected, channel, indexes.get(&channel).map_or(&[], Vec::as_slice));
+                // No CRC guards an index, but it follows from its group: there is one a channel, in order.
+                let Some((channel, messages)) = group.indexes.pop_first() else {
+                    break Some(format!("an index too many at byte {start}"));
+                };
+                expected.clear();
+                mcap::message_index(&mut expected, channel, messages.iter().copied());
                 if expected[9..] != content[..] {
                     break Some(format!("damaged index at byte {start}"));
                 }
-                entry.indexes.insert(channel, start);
-                entry.indexes_length += position - start;
+                group.entry.add_index(channel, messages.len() as u64);
             }
             _ => break Some(format!("a record out of place at byte {start}")),
         }
-        if let Some((entry, _, records)) = open.take_if(|(entry, indexes, _)| entry.indexes.len() == indexes.len()) {
+        if let Some(group) = open.take_if(|group| group.indexes.is_empty()) {
             scan.valid = position;
-            scan.summary.chunks.push(entry);
-            take_group(&records, &mut scan.summary, &mut topics, &mut each);
+            scan.summary.add_chunk(group.entry);
+            take_group(&group.records, &mut scan.summary, &mut topics, &mut each);
         }
     };
     scan.finished = scan.damage.is_none() && ends_with_magic(&mut reader, length, scan.valid).map_err(failed)?;
@@ -151,15 +168,15 @@ pub fn scan_attachments(
     Ok(scan)
 }
 
-fn attachment(content: &[u8], place: (u64, u64)) -> Option<(AttachmentEntry, &[u8])> {
+fn attachment(content: &[u8], place: (u64, u64)) -> Option<AttachmentEntry> {
     let mut fields = Fields(content);
     let (time_ns, _created) = (fields.u64()?, fields.u64()?);
     let (name, media_type) = (fields.text()?.to_owned(), fields.text()?.to_owned());
     let size = fields.u64()?;
-    let data = fields.bytes(usize::try_from(size).ok()?)?;
+    fields.bytes(usize::try_from(size).ok()?)?;
     let crc = fields.u32()?;
     let right = crc32fast::hash(&content[..content.len() - 4]) == crc;
-    right.then_some((AttachmentEntry { place, time_ns, size, name, media_type }, data))
+    right.then_some(AttachmentEntry { place, time_ns, size, name, media_type })
 }
 
 /// The index that each channel with messages in a group must have; none if the group's records cannot be read.
@@ -205,7 +222,6 @@ fn take_group(
             }
             opcode::MESSAGE => {
                 if let Some(message) = Message::parse(content) {
-                    *summary.counts.entry(message.channel).or_default() += 1;
                     let topic = topics.get(&message.channel).copied().flatten();
                     each(Logged { topic, time_ns: message.time_ns, data: message.data });
                 }

@@ -15,6 +15,8 @@ pub enum Topic {
     Warnings,
     /// What the host must remember of each board, `/delivery`.
     Delivery,
+    /// Files that were given up after an error, `/files`.
+    Files,
     /// Every datagram that was accepted, as it came, sealed, `/datagrams`.
     Datagrams,
 }
@@ -29,6 +31,7 @@ impl Topic {
             Topic::Marks => "/marks".to_owned(),
             Topic::Warnings => "/warnings".to_owned(),
             Topic::Delivery => "/delivery".to_owned(),
+            Topic::Files => "/files".to_owned(),
             Topic::Datagrams => "/datagrams".to_owned(),
         }
     }
@@ -40,6 +43,7 @@ impl Topic {
             "/marks" => Topic::Marks,
             "/warnings" => Topic::Warnings,
             "/delivery" => Topic::Delivery,
+            "/files" => Topic::Files,
             "/datagrams" => Topic::Datagrams,
             _ => {
                 let (board, kind) = name.strip_prefix("/board/")?.split_once('/')?;
@@ -70,6 +74,7 @@ impl Topic {
             Topic::Marks => (4, "thermokin.Mark", MARK),
             Topic::Warnings => (5, "thermokin.Warning", WARNING),
             Topic::Delivery => (6, "thermokin.Delivery", DELIVERY),
+            Topic::Files => (7, "thermokin.File", FILE),
             Topic::Datagrams => (0, "", ""),
         }
     }
@@ -92,11 +97,15 @@ const STATUS: &str = r#"{"type":"object","title":"thermokin.Status","properties"
 "clock":{"type":["object","null"],"properties":{"reference_us":{"type":"integer"},"offset_us":{"type":"number"},"drift":{"type":"number"},"uncertainty_us":{"type":["number","null"]}}},
 "identity":{"type":["object","null"]}}}"#;
 const GAP: &str = r#"{"type":"object","title":"thermokin.Gap","properties":{
-"board":{"type":"integer"},"store":{"type":"integer"},"from":{"type":"integer"},
-"until":{"type":["integer","null"],"description":"one past the last; null where nobody knows how many"},"reason":{"type":"string"}}}"#;
+"board":{"type":"integer"},"store":{"type":"integer"},
+"stores_until":{"type":"integer","description":"one past the last store that this says the same of"},"from":{"type":"integer"},
+"until":{"type":["integer","null"],"description":"one past the last; null where nobody knows how many"},
+"reason":{"type":"string","description":"not_held: thinned out by a full store, or taken by another log; store_ended: lost with its store; unheard: the store, if a boot of this number began one, was never heard of"}}}"#;
 const MARK: &str = r#"{"type":"object","title":"thermokin.Mark","properties":{
 "time_s":{"type":"number"},"kind":{"type":"string","description":"run_start, run_stop or mark"},"name":{"type":"string"}}}"#;
 const WARNING: &str = r#"{"type":"object","title":"thermokin.Warning","properties":{"time_s":{"type":"number"},"text":{"type":"string"}}}"#;
 const DELIVERY: &str = r#"{"type":"object","title":"thermokin.Delivery","properties":{
 "board":{"type":"integer"},"boot":{"type":"integer"},"next":{"type":"integer"},"heard":{"type":"string"},
-"store":{"type":["integer","null"]},"below":{"type":"integer"},"segments":{"type":"array"}}}"#;
+"store_boot":{"type":"integer"},"store":{"type":["integer","null"]},"below":{"type":"integer"},"segments":{"type":"array"}}}"#;
+const FILE: &str = r#"{"type":"object","title":"thermokin.File","properties":{"file":{"type":"string"},
+"durable":{"type":"integer","description":"the file was given up after an error: nothing from this byte on counts"}}}"#;
