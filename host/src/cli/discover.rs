@@ -132,7 +132,7 @@ fn say(discovery: &Discovery) {
         println!(
             "\nunexplained: {:.4} mm RMS follow {} (chance in noise {:.1e}); no effect of the catalogue does that",
             discovery.unexplained.rms_mm,
-            discovery.unexplained.follows.join(", "),
+            discovery.unexplained.follows().join(", "),
             chance(discovery.unexplained.ln_p)
         );
     }
@@ -183,7 +183,10 @@ fn as_json(discovery: &Discovery) -> Value {
         "findings": discovery.findings.iter().map(finding).collect::<Vec<_>>(),
         "unexplained": {
             "significant": discovery.unexplained.significant, "p_value": chance(discovery.unexplained.ln_p),
-            "follows": discovery.unexplained.follows, "rms_mm": discovery.unexplained.rms_mm,
+            "follows": discovery.unexplained.follows(), "rms_mm": discovery.unexplained.rms_mm,
+            "parts": discovery.unexplained.parts.iter().map(|part| json!({
+                "follows": part.follows, "share": part.share, "rms_mm": part.rms_mm,
+            })).collect::<Vec<_>>(),
         },
         "extended": level(&discovery.extended),
         "notes": discovery.notes,

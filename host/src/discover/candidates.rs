@@ -122,6 +122,8 @@ pub struct Rivals {
     nothing: f64,
     /// Numbers that tell the postures' shared errors.
     between: f64,
+    /// Numbers that tell the errors of visits.
+    within: f64,
 }
 
 impl Rivals {
@@ -138,7 +140,10 @@ impl Rivals {
         let layout = normal.system.layout;
         let between =
             (layout.joints * layout.postures) as f64 - layout.nuisance.min(layout.joints * layout.postures / 2) as f64;
-        Rivals { factors, nothing, between }
+        // Joints move a point in three directions, and a visit with more points in as many as there are joints.
+        let rows = |block: &super::stage::Block| block.residual.len().min(layout.joints);
+        let within = normal.white.stage.blocks.iter().map(rows).sum::<usize>() as f64 - layout.nuisance as f64;
+        Rivals { factors, nothing, between, within }
     }
 }
 
@@ -186,7 +191,7 @@ fn try_shape(
     }
     let numbers = match factor.posture > 0.0 && is_static(normal.white.stage, columns) {
         true => rivals.between,
-        false => f64::INFINITY,
+        false => rivals.within,
     };
     let ln_p = ln_likelihood_ratio(2.0 * gain, freedom, numbers).min(instead);
     Some(Tried { shape: shape.to_vec(), coefficients, ratio: 2.0 * gain, freedom, ln_p, visible })

@@ -10,7 +10,7 @@ use super::normal::{Rows, Strata, System};
 use super::readings::{ReadingFault, examine};
 use super::search::{Search, is_pattern, search};
 use super::stage::{Point, Stage, errors};
-use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate};
+use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate, start};
 use crate::effect::pattern;
 use crate::effect::{Instance, Scene, Seen, SiteNames};
 use crate::model::{ErrorTally, Errors};
@@ -84,6 +84,17 @@ pub struct Finding {
     pub evidence: Option<String>,
 }
 
+/// A part of what has no name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
+    /// The covariates that it follows.
+    pub follows: Vec<String>,
+    /// Its share of the square of the baseline's errors, 0 to 1.
+    pub share: f64,
+    /// What it moves the targets by beyond what calibration absorbs, RMS, mm.
+    pub rms_mm: f64,
+}
+
 /// What is significant and has no name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Unexplained {
@@ -91,10 +102,17 @@ pub struct Unexplained {
     pub significant: bool,
     /// Logarithm of the chance of it in noise.
     pub ln_p: f64,
-    /// The covariates that it follows.
-    pub follows: Vec<String>,
-    /// What it moves the targets by, RMS, mm.
+    /// Its parts by the covariates that they follow.
+    pub parts: Vec<Part>,
+    /// What all of it moves the targets by, RMS, mm.
     pub rms_mm: f64,
+}
+
+impl Unexplained {
+    /// The covariates that it follows, in words.
+    pub fn follows(&self) -> Vec<&str> {
+        self.parts.iter().flat_map(|part| &part.follows).map(String::as_str).collect()
+    }
 }
 
 /// What was discovered.
@@ -139,11 +157,17 @@ pub enum DiscoveryError {
 /// Rounds of setting plainly wrong points aside.
 const ROUNDS: usize = 4;
 
+/// How often the search is made again with other points set aside.
+const AGAIN: usize = 2;
+
 /// Rivals within this of a finding, in log evidence, are alternatives.
 const CLOSE: f64 = 3.0;
 
 /// At most so many are told.
 const TOLD: usize = 3;
+
+/// Errors that postures or cycles share are noise like that of visits as long as they are smaller than this share of it.
+const LEAST_SHARED: f64 = 0.5;
 
 /// The chance of calling noise unexplained.
 const FALSE_REST: f64 = 0.003;
@@ -159,27 +183,31 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
         labelled.temperatures = Some(log);
     }
     let mut set_aside: Vec<Outlier> = Vec::new();
-    let (mut calibration, mut scene);
-    let mut rounds = 0;
-    loop {
-        let cleaned = without(&labelled, &set_aside);
-        calibration = calibrate(robot, &cleaned, &request.calibration, |_| true)?;
-        scene = scene_of(&calibration, &cleaned);
-        let point = Point { state: calibration.state.clone(), effects: Vec::new() };
-        update_growth(&mut scene, &calibration.campaign, &point);
-        let stage = Stage::new(&calibration.campaign, &scene, &point, &positional(&calibration.joint.unknowns));
-        let wrong = outliers(&calibration.campaign, &stage);
-        rounds += 1;
-        if wrong.is_empty() || rounds > ROUNDS {
-            break;
+    let mut again = AGAIN;
+    let (calibration, scene, unknowns, beginning, found) = loop {
+        let (calibration, mut scene) = baseline_of(robot, &labelled, &mut set_aside, &request.calibration)?;
+        let unknowns = positional(&calibration.joint.unknowns);
+        let beginning = Point { state: calibration.state.clone(), effects: Vec::new() };
+        let campaign = &calibration.campaign;
+        let found =
+            search(campaign, &mut scene, beginning.clone(), &unknowns, request.seed).ok_or(DiscoveryError::TooSmall)?;
+        // What is plainly wrong is told last: what an effect explains comes back, and what only an effect hid goes.
+        let last = &found.last.point;
+        let wrong = match last.effects.is_empty() || again == 0 {
+            true => set_aside.clone(),
+            false => still_wrong(robot, &labelled, &request.calibration, &calibration, last)?,
+        };
+        let places = |points: &[Outlier]| {
+            points.iter().map(|wrong| (wrong.visit, wrong.target.clone())).collect::<std::collections::BTreeSet<_>>()
+        };
+        if places(&wrong) == places(&set_aside) {
+            set_aside = wrong;
+            break (calibration, scene, unknowns, beginning, found);
         }
-        set_aside.extend(wrong);
-    }
+        set_aside = wrong;
+        again -= 1;
+    };
     let campaign = calibration.campaign.clone();
-    let unknowns = positional(&calibration.joint.unknowns);
-    let start = Point { state: calibration.state.clone(), effects: Vec::new() };
-    let found =
-        search(&campaign, &mut scene, start.clone(), &unknowns, request.seed).ok_or(DiscoveryError::TooSmall)?;
     let mut findings = gross_findings(&swaps, &set_aside, run);
     findings.extend(examined.faults.into_iter().map(of_readings));
     let all = candidates(&scene);
@@ -187,7 +215,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
         campaign: &campaign,
         scene: &scene,
         unknowns: &unknowns,
-        start: &start,
+        start: &beginning,
         candidates: &all,
         trials: &found.trials,
         noise: Some(found.last.strata.clone()),
@@ -238,7 +266,6 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
             evidence: None,
         });
     }
-    let unexplained = rest(&campaign, &scene, &found);
     let level = |point: &Point, held_out: Option<ErrorTally>| {
         let mut tally = ErrorTally::default();
         errors(&campaign, &scene, point, |_, _, error| tally.add(error.norm()));
@@ -246,6 +273,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
     };
     let baseline = level_of_baseline(&campaign, &scene, &found.baseline.point, held_out_before);
     let extended = level(&found.last.point, held_out_after);
+    let unexplained = rest(&campaign, &scene, &found, baseline.fitted.rms_mm);
     let sigma = campaign.visits.iter().map(|visit| visit.sigma).sum::<f64>() / campaign.visits.len() as f64;
     let noise = found.last.strata.clone();
     let floor_rms_mm = floor(&found.last.stage, &noise) * 1e3;
@@ -266,6 +294,47 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
     })
 }
 
+/// Calibrates what is left of a run when plainly wrong points are set aside; those are added to.
+fn baseline_of(
+    robot: &Robot,
+    run: &Run,
+    set_aside: &mut Vec<Outlier>,
+    request: &Request,
+) -> Result<(Calibration, Scene), DiscoveryError> {
+    let known = !set_aside.is_empty();
+    let mut rounds = 0;
+    loop {
+        let cleaned = without(run, set_aside);
+        let calibration = calibrate(robot, &cleaned, request, |_| true)?;
+        let mut scene = scene_of(&calibration, &cleaned);
+        let point = Point { state: calibration.state.clone(), effects: Vec::new() };
+        update_growth(&mut scene, &calibration.campaign, &point);
+        let stage = Stage::new(&calibration.campaign, &scene, &point, &positional(&calibration.joint.unknowns));
+        let wrong = outliers(&calibration.campaign, &stage);
+        rounds += 1;
+        if known || wrong.is_empty() || rounds > ROUNDS {
+            return Ok((calibration, scene));
+        }
+        set_aside.extend(wrong);
+    }
+}
+
+/// The points of the whole run that are plainly wrong in the presence of effects.
+fn still_wrong(
+    robot: &Robot,
+    run: &Run,
+    request: &Request,
+    calibration: &Calibration,
+    point: &Point,
+) -> Result<Vec<Outlier>, DiscoveryError> {
+    let observed = start(robot, run, request, |_| true).map_err(CalibrationError::from)?.observed.campaign;
+    let whole = Campaign { growth: calibration.campaign.growth.clone(), ..observed };
+    let mut scene = scene_over(&whole, calibration, run);
+    update_growth(&mut scene, &whole, point);
+    let stage = Stage::new(&whole, &scene, point, &positional(&calibration.joint.unknowns));
+    Ok(outliers(&whole, &stage))
+}
+
 fn level_of_baseline(campaign: &Campaign, scene: &Scene, point: &Point, held_out: Option<ErrorTally>) -> Level {
     let mut own = scene.clone();
     update_growth(&mut own, campaign, point);
@@ -276,7 +345,12 @@ fn level_of_baseline(campaign: &Campaign, scene: &Scene, point: &Point, held_out
 
 /// The scene of a calibrated run.
 pub fn scene_of(calibration: &Calibration, run: &Run) -> Scene {
-    let seen = calibration.campaign.visits.iter().map(|visit| Seen {
+    scene_over(&calibration.campaign, calibration, run)
+}
+
+/// The scene of the visits of a campaign of a run.
+fn scene_over(campaign: &Campaign, calibration: &Calibration, run: &Run) -> Scene {
+    let seen = campaign.visits.iter().map(|visit| Seen {
         place: visit.place,
         joints: visit.posture.positions(),
         rises: visit.rises.clone(),
@@ -415,32 +489,54 @@ fn floor(stage: &Stage, noise: &Strata) -> f64 {
 }
 
 /// What is left after the search: patterns that it found outside the catalogue, and errors that postures or cycles share.
-fn rest(campaign: &Campaign, scene: &Scene, found: &Search) -> Unexplained {
-    let mut follows = Vec::new();
+fn rest(campaign: &Campaign, scene: &Scene, found: &Search, baseline_rms_mm: f64) -> Unexplained {
+    let mut parts = Vec::new();
     let mut ln_p = 0.0_f64;
-    let mut squares = 0.0;
+    let of_baseline = |square: f64| (square / baseline_rms_mm.powi(2)).min(1.0);
     for (place, named) in found.named.iter().enumerate() {
         let instance = &found.last.point.effects[place];
         if is_pattern(instance) {
-            follows.extend(pattern::follows(scene, &instance.site, &instance.shape));
             ln_p = ln_p.min(named.ln_p);
-            squares += cost(campaign, scene, &found.last, place).powi(2);
+            // Calibration absorbs the rest of what it moves the targets by.
+            let square = named.score.visible * cost(campaign, scene, &found.last, place).powi(2);
+            let follows = pattern::follows(scene, &instance.site, &instance.shape);
+            parts.push(Part { follows, share: of_baseline(square), rms_mm: square.sqrt() });
         }
     }
-    let Strata { posture, cycle, .. } = found.last.strata.clone();
-    let system = System::new(&found.last.stage, &Rows::new(&found.last.stage), &found.last.strata);
+    let stage = &found.last.stage;
+    let Strata { posture, cycle, visit, .. } = found.last.strata.clone();
+    let system = System::new(stage, &Rows::new(stage), &found.last.strata);
     let all = system.log_likelihood(posture, cycle);
-    let mut shared = |with: f64, without: f64, words: &str| {
-        if with > 0.0 {
+    let of_visits = moved_mm(stage, &visit);
+    let mut shared = |sigma: f64, without: f64, words: &str| {
+        let rms_mm = moved_mm(stage, &vec![sigma; visit.len()]);
+        if sigma > 0.0 && rms_mm > LEAST_SHARED * of_visits {
             // On the edge of what a variance can be, half of the chance is at zero.
             let own = 0.5_f64.ln() + ln_chi_square(2.0 * (all - without), 1);
             if own < FALSE_REST.ln() {
-                follows.push(words.to_owned());
                 ln_p = ln_p.min(own);
+                parts.push(Part { follows: vec![words.to_owned()], share: of_baseline(rms_mm.powi(2)), rms_mm });
             }
         }
     };
     shared(posture, system.log_likelihood(0.0, cycle), "posture");
     shared(cycle, system.log_likelihood(posture, 0.0), "cycle");
-    Unexplained { significant: ln_p < FALSE_REST.ln(), ln_p, follows, rms_mm: squares.sqrt() }
+    Unexplained {
+        significant: ln_p < FALSE_REST.ln(),
+        ln_p,
+        rms_mm: parts.iter().map(|part| part.rms_mm.powi(2)).sum::<f64>().sqrt(),
+        parts,
+    }
+}
+
+/// What errors of the joints of given sizes move the targets by, RMS, mm.
+fn moved_mm(stage: &Stage, sizes: &[f64]) -> f64 {
+    let (mut sum, mut points) = (0.0, 0.0);
+    for block in &stage.blocks {
+        let joints = block.places.column_iter().zip(sizes);
+        sum +=
+            joints.map(|(column, size)| column.norm_squared() * size * size).sum::<f64>() * block.sigma * block.sigma;
+        points += block.residual.len() as f64 / 3.0;
+    }
+    (sum / points).sqrt() * 1e3
 }

@@ -45,6 +45,9 @@ pub struct EffectCovariance {
 /// Rounds of Gauss and Newton.
 const ROUNDS: usize = 12;
 
+/// Shares of a step that are tried one after another.
+const SHARES: [f64; 4] = [1.0, 0.25, 0.06, 0.015];
+
 /// A step whose square, in units of the noise, is below this has arrived.
 const ARRIVED: f64 = 1e-4;
 
@@ -135,22 +138,37 @@ pub fn fit(
     let (mut stage, mut owners) = linearise(campaign, scene, &point, unknowns);
     let mut noise = noise.unwrap_or_else(|| strata(&stage));
     let settled = if point.effects.is_empty() { 0 } else { 1 };
+    let mut system = System::new(&stage, &Rows::new(&stage), &noise);
     for round in 0..ROUNDS {
-        let system = System::new(&stage, &Rows::new(&stage), &noise);
         let factor = system.factor(noise.posture, noise.cycle)?;
         let (step, covariance) = factor.solution(owners.len());
         let length = step.dot(&system.right.rows(0, owners.len()));
-        if length.abs() < ARRIVED || round + 1 == ROUNDS {
+        let merit = system.merit(noise.posture, noise.cycle)?;
+        // A step that makes the errors larger is too long for what is linear about it, most often along a harmonic.
+        let taken = (length.abs() >= ARRIVED && round + 1 < ROUNDS)
+            .then(|| {
+                SHARES.iter().find_map(|share| {
+                    let mut next = point.clone();
+                    apply(&mut next, unknowns, &owners, (&step * *share).as_slice());
+                    update_growth(scene, campaign, &next);
+                    let (stage, owners) = linearise(campaign, scene, &next, unknowns);
+                    let system = System::new(&stage, &Rows::new(&stage), &noise);
+                    (system.merit(noise.posture, noise.cycle)? <= merit + ARRIVED)
+                        .then_some((next, stage, owners, system))
+                })
+            })
+            .flatten();
+        let Some(next) = taken else {
+            update_growth(scene, campaign, &point);
             let covariances =
                 (0..point.effects.len()).map(|effect| own_covariance(effect, &owners, &covariance)).collect();
             let log_likelihood = factor.log_likelihood;
             return Some(Fit { point, stage, strata: noise, log_likelihood, covariances });
-        }
-        apply(&mut point, unknowns, &owners, step.as_slice());
-        update_growth(scene, campaign, &point);
-        (stage, owners) = linearise(campaign, scene, &point, unknowns);
+        };
+        (point, stage, owners, system) = next;
         if round == settled {
             noise = strata(&stage);
+            system = System::new(&stage, &Rows::new(&stage), &noise);
         }
     }
     None

@@ -13,27 +13,30 @@ use crate::model::ErrorTally;
 /// One fold: the places of the visits that are held out.
 pub type Fold = Vec<usize>;
 
-/// Parts into which poses and cycles are split.
+/// Parts into which poses and cycles are split, and poses alone where there is one cycle.
 const PARTS: usize = 3;
+const PARTS_OF_POSES: usize = 5;
 
 /// Folds by whole poses and by whole cycles, as far as there are enough of them. Neighbouring cycles are alike and are held
 /// out together; poses are taken in turn.
 pub fn folds(campaign: &Campaign) -> Vec<Fold> {
-    let split = |key: &dyn Fn(usize) -> u32, in_turn: bool| -> Vec<Fold> {
+    let split = |key: &dyn Fn(usize) -> u32, parts: usize, in_turn: bool| -> Vec<Fold> {
         let mut keys: Vec<u32> = (0..campaign.visits.len()).map(key).collect();
         keys.sort_unstable();
         keys.dedup();
-        if keys.len() < 2 * PARTS {
+        if keys.len() < 2 * parts {
             return Vec::new();
         }
         let part = |number: u32| {
             let rank = keys.binary_search(&number).unwrap_or(0);
-            if in_turn { rank % PARTS } else { rank * PARTS / keys.len() }
+            if in_turn { rank % parts } else { rank * parts / keys.len() }
         };
-        (0..PARTS).map(|own| (0..campaign.visits.len()).filter(|&place| part(key(place)) == own).collect()).collect()
+        (0..parts).map(|own| (0..campaign.visits.len()).filter(|&place| part(key(place)) == own).collect()).collect()
     };
-    let mut all = split(&|place| campaign.visits[place].pose, true);
-    all.extend(split(&|place| campaign.visits[place].cycle, false));
+    let by_cycle = split(&|place| campaign.visits[place].cycle, PARTS, false);
+    let parts = if by_cycle.is_empty() { PARTS_OF_POSES } else { PARTS };
+    let mut all = split(&|place| campaign.visits[place].pose, parts, true);
+    all.extend(by_cycle);
     all
 }
 

@@ -125,6 +125,10 @@ pub struct Layout {
     pub cycles: usize,
 }
 
+/// Of the square of a scaled column, what is added to it: columns that others make but for less than this would take steps
+/// of nothing but rounding. Steps along them become shorter; where they lead stays.
+const DAMPING: f64 = 1e-8;
+
 /// Cycles below this number cannot have a variance of their own.
 const FEWEST_CYCLES: usize = 4;
 
@@ -248,13 +252,31 @@ impl System {
         };
         let scale: Vec<f64> = (0..chosen.len()).map(|rank| 1.0 / own(rank).max(f64::MIN_POSITIVE).sqrt()).collect();
         let matrix = DMatrix::from_fn(chosen.len(), chosen.len(), |i, j| match i == j {
-            true => own(i) * scale[i] * scale[i],
+            true => own(i) * scale[i] * scale[i] + DAMPING,
             false => self.matrix[(chosen[i], chosen[j])] * scale[i] * scale[j],
         });
         let lower = matrix.cholesky()?.unpack();
         let log_factor: f64 =
             lower.diagonal().iter().zip(&scale).map(|(value, scale)| 2.0 * (value.ln() - scale.ln())).sum();
         Some(Triangle { chosen, lower, scale, log_determinants: log_prior + log_factor })
+    }
+
+    /// The square of the residual as it stands, in units of the noise, errors that postures and cycles share included.
+    pub fn merit(&self, posture: f64, cycle: f64) -> Option<f64> {
+        let Layout { nuisance, joints, postures, .. } = self.layout;
+        let first_cycle = nuisance + joints * postures;
+        let sigma = |place: usize| if place < first_cycle { posture } else { cycle };
+        let shared: Vec<usize> = (nuisance..self.layout.count()).filter(|&place| sigma(place) > 0.0).collect();
+        if shared.is_empty() {
+            return Some(self.square);
+        }
+        // In units of the shared errors' own sizes: what is visited once changes nothing.
+        let matrix = DMatrix::from_fn(shared.len(), shared.len(), |i, j| {
+            let own = self.matrix[(shared[i], shared[j])] * sigma(shared[i]) * sigma(shared[j]);
+            if i == j { own + 1.0 } else { own }
+        });
+        let right = DVector::from_fn(shared.len(), |i, _| self.right[shared[i]] * sigma(shared[i]));
+        Some(self.square - right.dot(&matrix.cholesky()?.solve(&right)))
     }
 
     fn likelihood_with(&self, log_determinants: f64, square: f64) -> f64 {

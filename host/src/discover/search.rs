@@ -38,7 +38,10 @@ pub struct Named {
 const FALSE_NAME: f64 = 0.005;
 
 /// Effects that are looked for at most.
-const MOST_EFFECTS: usize = 8;
+const MOST_EFFECTS: usize = 24;
+
+/// Exchanges at most: rivals that fit alike would change places for long.
+const MOST_EXCHANGES: usize = 3;
 
 /// Rivals that are kept.
 const KEPT: usize = 12;
@@ -118,6 +121,8 @@ pub fn climb(
 ) -> Fit {
     let limit = FALSE_NAME.ln();
     let mut last = from;
+    // Effects that take turns in driving each other out would be added and dropped for ever.
+    let mut seen: Vec<Vec<Instance>> = Vec::new();
     while last.point.effects.len() < MOST_EFFECTS {
         super::fit::update_growth(scene, campaign, &last.point);
         let scores = scores(&last, scene, &left(all, &last.point.effects), trials);
@@ -126,6 +131,14 @@ pub fn climb(
         point.effects.push(best.instance.clone());
         let Some(next) = fit(campaign, scene, point, unknowns, None) else { break };
         last = prune(campaign, scene, next, unknowns, trials);
+        let same = |known: &Vec<Instance>| {
+            let now = &last.point.effects;
+            known.len() == now.len() && now.iter().all(|own| known.iter().any(|other| other.same_name(own)))
+        };
+        if seen.iter().any(same) {
+            break;
+        }
+        seen.push(last.point.effects.clone());
     }
     super::fit::update_growth(scene, campaign, &last.point);
     last
@@ -189,7 +202,7 @@ impl Search {
                 let scores = scores(&without, scene, &left(all, &others), &self.trials);
                 let Some(mine) = scores.iter().find(|score| score.instance.same_name(&own)).cloned() else {
                     // Without it nothing speaks for it any more: it was another's shadow.
-                    if let Some(next) = (exchanges < MOST_EFFECTS).then_some(without) {
+                    if let Some(next) = (exchanges < MOST_EXCHANGES).then_some(without) {
                         exchanges += 1;
                         self.last = next;
                         continue 'again;
@@ -197,7 +210,7 @@ impl Search {
                     continue;
                 };
                 if let Some(best) =
-                    scores.first().filter(|best| !best.instance.same_name(&own) && exchanges < MOST_EFFECTS)
+                    scores.first().filter(|best| !best.instance.same_name(&own) && exchanges < MOST_EXCHANGES)
                 {
                     let mut point = without.point.clone();
                     point.effects.insert(place, best.instance.clone());

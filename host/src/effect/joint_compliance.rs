@@ -1,7 +1,8 @@
 //! A joint that gives under gravity: `Δq = compliance · torque`, payload included.
 //!
 //! Where robot.toml gives no masses, the torque is linear in the unknown first moments of what the joint carries: the
-//! coefficients are then compliance times moment, as many as the visits tell apart.
+//! coefficients are then compliance times moment: of the joint's own link alone, as if all that it carries were one body, or of
+//! all links, as many as the visits tell apart.
 
 use super::{Acts, Effect, Form, Given, InstanceError, Named, Scene, Site, Term, Values};
 
@@ -33,7 +34,8 @@ impl Effect for JointCompliance {
     /// and has other means.
     fn shapes(&self, scene: &Scene, site: &Site) -> Vec<Vec<f64>> {
         let Some(joint) = site.joint.filter(|_| !scene.masses_known) else { return vec![Vec::new()] };
-        vec![scene.told_apart[joint].iter().flat_map(|&(moment, mean)| [moment as f64, mean]).collect()]
+        let shape = |set: &Vec<(usize, f64)>| set.iter().flat_map(|&(moment, mean)| [moment as f64, mean]).collect();
+        scene.told_apart[joint].iter().map(shape).collect()
     }
 
     fn terms(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Vec<Term> {
@@ -65,6 +67,9 @@ impl Effect for JointCompliance {
     fn values(&self, scene: &Scene, site: &Site, given: &mut Given) -> Result<Values, InstanceError> {
         let number = |number| format!("compliance_times_moment_{number}_rad");
         let coefficients = given.numbered("compliance_rad_per_nm", number)?;
-        Ok(Values::new(self.shapes(scene, site).swap_remove(0), coefficients))
+        let pairs = if scene.masses_known { 0 } else { coefficients.len() };
+        let shape = self.shapes(scene, site).into_iter().find(|shape| shape.len() == 2 * pairs);
+        let shape = shape.ok_or(InstanceError::NoPlace(self.name()))?;
+        Ok(Values::new(shape, coefficients))
     }
 }

@@ -68,8 +68,9 @@ pub struct Scene {
     /// For each joint, torques by unit first moments (1 kg·m) of the masses that it carries, where masses are unknown: three
     /// moments a transform from 1 on, each with one amount a visit.
     pub moments: Vec<Vec<Vec<f64>>>,
-    /// For each joint, the moments that the run's visits tell apart, by place, and the mean of each over the run.
-    pub told_apart: Vec<Vec<(usize, f64)>>,
+    /// For each joint, sets of moments that the run's visits tell apart, by place, and the mean of each over the run: those of
+    /// its own link alone, as if all that it carries were one body, and those of all links that it carries.
+    pub told_apart: Vec<Vec<Vec<(usize, f64)>>>,
     /// From when drifts count, s since the run began: fixed, whatever visits are looked at.
     pub origin_s: f64,
     /// The visits in order of time.
@@ -164,7 +165,7 @@ impl Scene {
             gear_ratios: joints.iter().map(|joint| joint.gear_ratio).collect(),
             chain,
             masses_known,
-            told_apart: moments.iter().map(|columns| independent(columns)).collect(),
+            told_apart: moments.iter().enumerate().map(|(joint, columns)| told_apart(joint, columns)).collect(),
             moments,
             origin_s: visits.first().map_or(0.0, |visit| visit.time_s),
             visits,
@@ -430,6 +431,22 @@ fn moments(robot: &Robot, visits: &[Situation], values: &[f64]) -> Vec<Vec<Vec<f
         }
     }
     raw
+}
+
+/// The sets of moments that a joint's torque may follow, the smallest first.
+fn told_apart(joint: usize, columns: &[Vec<f64>]) -> Vec<Vec<(usize, f64)>> {
+    let all = independent(columns);
+    if all.is_empty() {
+        return Vec::new();
+    }
+    // The link that a joint turns has the frame of the transform after it, and transforms count from 1.
+    let first = 3 * joint;
+    let own = columns.get(first..first + 3).map(independent).unwrap_or_default();
+    let own: Vec<(usize, f64)> = own.into_iter().map(|(place, mean)| (first + place, mean)).collect();
+    let mut sets = vec![own, all];
+    sets.retain(|set| !set.is_empty());
+    sets.dedup_by(|a, b| a.len() == b.len());
+    sets
 }
 
 /// A subset of columns that spans them all to a part in a thousand, less the constant, with the mean of each: pivoted
