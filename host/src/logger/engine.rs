@@ -312,7 +312,7 @@ impl Engine {
                 let name = self.names.get(&(number, sensor.address)).cloned().unwrap_or_else(|| {
                     let name = format!("board{number}/0x{:02X}", sensor.address);
                     let trouble = Trouble::Unnamed(number, sensor.address);
-                    // Without any names there is no robot.toml, which the caller says once.
+                    // That there are no names at all is said once, by the caller.
                     if self.names.is_empty() {
                         return name;
                     }

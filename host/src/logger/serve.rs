@@ -165,6 +165,13 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
         .or_else(|_| rustix::net::sockopt::set_socket_recv_buffer_size(&socket, SOCKET_BUFFER));
     let listen = socket.local_addr().unwrap_or(options.listen);
     let (store, finished) = Store::open(&options.store, options.rotation, attachments, clock.now_us())?;
+    let unnamed = match &options.robot {
+        None => Some("no robot.toml given: sensors are named by board and address".to_owned()),
+        Some(path) if names.is_empty() => {
+            Some(format!("{} puts no sensor on a board: sensors are named by board and address", path.display()))
+        }
+        Some(_) => None,
+    };
     let engine = Engine::new(store.epoch(), &registry, names, store.states().clone());
     let state = State { listen, store: options.store.clone(), run: None, free: None };
     let control = control(&options.store);
@@ -190,8 +197,8 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
         view.say(logger.clock.now_us(), &text);
     }
     view.say(logger.clock.now_us(), &format!("listening on {listen}, storing in {}", options.store.display()));
-    if options.robot.is_none() {
-        view.say(logger.clock.now_us(), "no robot.toml given: sensors are named by board and address");
+    if let Some(words) = unnamed {
+        view.say(logger.clock.now_us(), &words);
     }
     if let Some(name) = &options.run {
         logger.wish(Wish::StartRun(name.clone()), view, stop);
