@@ -12,6 +12,7 @@ use crate::outbox::{Outbox, Pace};
 use crate::patience::Patience;
 use crate::replay::ReplayGuard;
 use crate::seal::{self, MAX_MESSAGE, Refused};
+use crate::update::{UpdateOrder, UpdateReport};
 use crate::{Key, MAX_BATCH, MAX_DATAGRAM, MAX_SENSORS, SCHEMA_VERSION};
 
 /// The most bytes of a report, its records aside; a test holds this against the largest report.
@@ -35,14 +36,16 @@ pub struct BoardCounters {
     pub bus_recoveries: u32,
 }
 
-/// What an answer changed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What a datagram of the host's brought.
+#[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Heard {
+pub struct Heard<'a> {
     /// How many records it freed: they are durable on the host.
     pub released: usize,
     /// Whether [`BoardLink::settings`] changed.
     pub settings_changed: bool,
+    /// What it says of a new program, which is the caller's affair; the report goes out by [`BoardLink::seal_update`].
+    pub update: Option<UpdateOrder<'a>>,
 }
 
 /// A board's link to its host, with a store of `RECORDS` unacknowledged records.
@@ -228,15 +231,7 @@ where
             batch,
         };
         let length = postcard::to_slice(&BoardMessage::Report(report), &mut buffer[HEADER_LENGTH..]).ok()?.len();
-        let header = Header {
-            version: SCHEMA_VERSION,
-            direction: Direction::ToHost,
-            kind: Kind::Message,
-            board: self.board,
-            epoch: self.boot,
-            counter: self.counter,
-        };
-        self.counter += 1;
+        let header = self.next_header(Kind::Message);
         Some(seal::seal(&self.key, &header, buffer, length))
     }
 
@@ -265,7 +260,7 @@ where
     /// # Errors
     ///
     /// The reason why it was dropped; it is counted and must not be answered.
-    pub fn receive(&mut self, now_us: u64, datagram: &mut [u8]) -> Result<Heard, Refused> {
+    pub fn receive<'a>(&mut self, now_us: u64, datagram: &'a mut [u8]) -> Result<Heard<'a>, Refused> {
         let outcome = self.take(now_us, datagram);
         if outcome.is_err() {
             self.refused = self.refused.saturating_add(1);
@@ -273,12 +268,40 @@ where
         outcome
     }
 
-    fn take(&mut self, now_us: u64, datagram: &mut [u8]) -> Result<Heard, Refused> {
+    /// The datagram that says how far a board is with a new program, as the number of its bytes in `buffer`.
+    pub fn seal_update(&mut self, report: &UpdateReport, buffer: &mut [u8; MAX_DATAGRAM]) -> Option<usize> {
+        let length = postcard::to_slice(report, &mut buffer[HEADER_LENGTH..]).ok()?.len();
+        let header = self.next_header(Kind::Update);
+        Some(seal::seal(&self.key, &header, buffer, length))
+    }
+
+    fn next_header(&mut self, kind: Kind) -> Header {
+        let counter = self.counter;
+        self.counter += 1;
+        Header {
+            version: SCHEMA_VERSION,
+            direction: Direction::ToHost,
+            kind,
+            board: self.board,
+            epoch: self.boot,
+            counter,
+        }
+    }
+
+    fn take<'a>(&mut self, now_us: u64, datagram: &'a mut [u8]) -> Result<Heard<'a>, Refused> {
         let (header, message) = seal::open(&self.key, self.board, Direction::ToBoard, datagram)?;
         self.guard.admit(&header)?;
         if header.version != SCHEMA_VERSION {
             self.host_version = Some(header.version);
             return Err(Refused::Version { theirs: header.version });
+        }
+        if header.kind == Kind::Update {
+            let order = UpdateOrder::parse(message)?;
+            if order.boot() != self.boot {
+                return Err(Refused::OtherBoot);
+            }
+            self.heard_us = Some(now_us);
+            return Ok(Heard { released: 0, settings_changed: false, update: Some(order) });
         }
         if header.kind != Kind::Message {
             return Err(Refused::Malformed);
@@ -305,7 +328,7 @@ where
         let patience = &mut self.patience;
         self.outbox.borrow().latencies(&answer.acknowledgement, now_us, |latency_us| patience.hear(latency_us));
         let released = self.outbox.borrow_mut().acknowledge(&answer.acknowledgement);
-        Ok(Heard { released, settings_changed })
+        Ok(Heard { released, settings_changed, update: None })
     }
 
     fn is_alone(&self, now_us: u64) -> bool {

@@ -103,6 +103,7 @@ impl Workshop {
             sensors: sensors.collect(),
             place: "bench".try_into().unwrap(),
             wifi: None,
+            update_key: None,
         };
         Emulator::start(&self.folder, &configuration)
     }

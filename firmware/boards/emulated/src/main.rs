@@ -6,6 +6,7 @@
 
 mod clock;
 mod ethernet;
+mod flash;
 mod i2c;
 mod log;
 mod register;
@@ -19,10 +20,13 @@ use embassy_executor::Spawner;
 use embassy_net::{Config, Runner, StackResources};
 use static_cell::{ConstStaticCell, StaticCell};
 use thermokin_firmware::power::ESP32C3_MAX30205;
+use thermokin_firmware::update::{Start, Updater, Updates};
 use thermokin_firmware::{Board, Link, Store, Supply, VERSION};
+use thermokin_protocol::update::Target;
 use thermokin_protocol::{Battery, Configuration, Identity, MAX_PAGE, Settings};
 
 use crate::ethernet::{Cable, Ethernet};
+use crate::flash::{Chip, LAYOUT};
 use crate::i2c::Master;
 use crate::retained::Note;
 use crate::watchdog::Dog;
@@ -50,6 +54,7 @@ async fn main(spawner: Spawner) {
     };
     let (boot, reset) = retained::begin_boot(configuration.first_boot);
     info!("board {=u32}, boot {=u32} after {}", configuration.board, boot, reset);
+    let mut updater = configuration.update_key.and_then(take_up_update);
 
     static RESOURCES: StaticCell<StackResources<4>> = StaticCell::new();
     let seed = u64::from(configuration.board) << 32 | u64::from(boot);
@@ -86,6 +91,8 @@ async fn main(spawner: Spawner) {
         configuration,
         // What the same duty would cost on the board that is glued to robots.
         currents: ESP32C3_MAX30205,
+        updates: updater.as_mut().map(|updater| updater as &mut dyn Updates),
+        restart,
     };
     if let Err(bad) = board.run(link).await {
         error!("nothing can be done: {}", bad);
@@ -95,6 +102,23 @@ async fn main(spawner: Spawner) {
 #[embassy_executor::task]
 async fn run_network(mut runner: Runner<'static, Ethernet>) -> ! {
     runner.run().await
+}
+
+/// A configuration that names a key for programs belongs to an emulator that was started with a flash chip for them.
+fn take_up_update(key: [u8; 32]) -> Option<Updater<Chip>> {
+    match Chip::open().and_then(|chip| Updater::start(chip, LAYOUT, Target::Emulated, Some(key), None)) {
+        Ok((updater, Start::Run)) => Some(updater),
+        Ok((_, Start::Restart)) => restart(),
+        Err(unreachable) => {
+            error!("no new programs: {}", unreachable);
+            None
+        }
+    }
+}
+
+fn restart() -> ! {
+    retained::note_reset(Note::Restart);
+    cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// The emulator runs on no battery.
@@ -119,6 +143,7 @@ unsafe fn DefaultHandler(interrupt: i16) {
     match interrupt.try_into() {
         Ok(clock::ALARM_INTERRUPT) => clock::alarm(),
         Ok(ethernet::INTERRUPT) => ethernet::received(),
+        Ok(watchdog::INTERRUPT) => watchdog::hungry(),
         _ => panic!("an interrupt that nobody let through"),
     }
 }

@@ -107,6 +107,7 @@ pub fn configuration(arguments: &PageArguments) -> Result<Configuration, Failure
             ssid: arguments.ssid.as_str().try_into().map_err(|_| long("--ssid", 32))?,
             password: password.as_str().try_into().map_err(|_| long("the password", 64))?,
         }),
+        update_key: None,
     })
 }
 
