@@ -72,7 +72,7 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// Runs for ever.
-    pub(crate) async fn run<const RECORDS: usize>(&mut self, shared: &Shared<'_, RECORDS>) {
+    pub(crate) async fn run<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>) {
         let (mut receive_metadata, mut send_metadata) =
             ([PacketMetadata::EMPTY; QUEUE], [PacketMetadata::EMPTY; QUEUE]);
         let (mut receive_buffer, mut send_buffer) = ([0; QUEUE * MAX_DATAGRAM], [0; QUEUE * MAX_DATAGRAM]);
@@ -103,20 +103,20 @@ impl<'a, R: Radio> Uplink<'a, R> {
         }
     }
 
-    async fn switch_on<const RECORDS: usize>(&mut self, shared: &Shared<'_, RECORDS>) {
+    async fn switch_on<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>) {
         self.radio.up().await;
         shared.duty.borrow_mut().radio_switched_on(Instant::now());
     }
 
-    async fn switch_off<const RECORDS: usize>(&mut self, shared: &Shared<'_, RECORDS>) {
+    async fn switch_off<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>) {
         self.radio.down().await;
         shared.duty.borrow_mut().radio_switched_off(Instant::now());
     }
 
     /// Until the host asks for another mode.
-    async fn live<const RECORDS: usize>(
+    async fn live<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<'_, RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) {
@@ -126,9 +126,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// Until the host asks for another mode. The radio is down when this begins and when it ends.
-    async fn bursts<const RECORDS: usize>(
+    async fn bursts<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<'_, RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) {
@@ -157,9 +157,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// The radio is up: sends until the host has everything, or is silent.
-    async fn burst<const RECORDS: usize>(
+    async fn burst<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<'_, RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) -> Burst {
@@ -189,9 +189,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// One round: sends what is due, then waits for an answer, a record or the next time that something is due.
-    async fn round<const RECORDS: usize>(
+    async fn round<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<'_, RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) {
@@ -235,11 +235,7 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// Takes a datagram; gives what to report of a new program if that is what it was about.
-    fn heard<const RECORDS: usize>(
-        &mut self,
-        shared: &Shared<'_, RECORDS>,
-        datagram: &mut [u8],
-    ) -> Option<UpdateReport> {
+    fn heard<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>, datagram: &mut [u8]) -> Option<UpdateReport> {
         let now = Instant::now();
         let heard = match shared.link.borrow_mut().receive(now.as_micros(), datagram) {
             Ok(heard) => heard,
@@ -267,9 +263,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// Goes on with checking a new program, and restarts into it when that is done; whether there is more to check.
-    async fn check<const RECORDS: usize>(
+    async fn check<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<'_, RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         endpoint: IpEndpoint,
         datagram: &mut [u8; MAX_DATAGRAM],
@@ -293,9 +289,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// Tells the host how far a new program is. What is lost is asked for again.
-    async fn report<const RECORDS: usize>(
+    async fn report<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<'_, RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         endpoint: IpEndpoint,
         report: UpdateReport,
@@ -311,9 +307,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
 
     /// Where the host is, looked up when that is not known or when it was not heard for long. Without an answer it takes
     /// a moment, so that its caller does not spin.
-    async fn find<const RECORDS: usize>(
+    async fn find<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<'_, RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         host: &mut Option<Host>,
     ) -> Option<IpEndpoint> {
         if !self.stack.is_config_up() {

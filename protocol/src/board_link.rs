@@ -48,13 +48,18 @@ pub struct Heard<'a> {
     pub update: Option<UpdateOrder<'a>>,
 }
 
-/// A board's link to its host, with a store of `RECORDS` unacknowledged records.
+/// A board's link to its host, with a store of `RECORDS` unacknowledged records, and more in `BLOCKS` of an archive.
 ///
 /// The firmware calls [`BoardLink::record`] when it has sampled, [`BoardLink::poll`] until it gives nothing whenever
 /// [`BoardLink::next_poll_us`] has come (or the radio is up), and [`BoardLink::receive`] with each datagram that came.
 /// All times are the board's own microsecond clock. The link owns its store, or borrows one that lies in a static.
 #[derive(Debug)]
-pub struct BoardLink<const RECORDS: usize, const SENSORS: usize = MAX_SENSORS, O = Outbox<RECORDS, SENSORS>> {
+pub struct BoardLink<
+    const RECORDS: usize,
+    const SENSORS: usize = MAX_SENSORS,
+    const BLOCKS: usize = 0,
+    O = Outbox<RECORDS, SENSORS, BLOCKS>,
+> {
     key: Key,
     board: u32,
     boot: u32,
@@ -78,7 +83,7 @@ pub struct BoardLink<const RECORDS: usize, const SENSORS: usize = MAX_SENSORS, O
     counters: BoardCounters,
 }
 
-impl<const RECORDS: usize, const SENSORS: usize> BoardLink<RECORDS, SENSORS> {
+impl<const RECORDS: usize, const SENSORS: usize, const BLOCKS: usize> BoardLink<RECORDS, SENSORS, BLOCKS> {
     /// The link of a boot, with an empty store.
     ///
     /// `boot` must be greater than at any start before under this key (see the crate's documentation); `sensors` beyond
@@ -96,9 +101,9 @@ impl<const RECORDS: usize, const SENSORS: usize> BoardLink<RECORDS, SENSORS> {
     }
 }
 
-impl<const RECORDS: usize, const SENSORS: usize, O> BoardLink<RECORDS, SENSORS, O>
+impl<const RECORDS: usize, const SENSORS: usize, const BLOCKS: usize, O> BoardLink<RECORDS, SENSORS, BLOCKS, O>
 where
-    O: BorrowMut<Outbox<RECORDS, SENSORS>>,
+    O: BorrowMut<Outbox<RECORDS, SENSORS, BLOCKS>>,
 {
     /// The link of a boot that has a store already: one that it found retained and whole, or one that began with it.
     #[expect(clippy::too_many_arguments, reason = "what a boot knows; a struct of the same fields would be no clearer")]
@@ -117,7 +122,10 @@ where
             key,
             board,
             boot,
-            identity: Identity { capacity: u32::try_from(RECORDS).unwrap_or(u32::MAX), ..identity },
+            identity: Identity {
+                capacity: u32::try_from(Outbox::<RECORDS, SENSORS, BLOCKS>::capacity()).unwrap_or(u32::MAX),
+                ..identity
+            },
             sensors: sensors.iter().copied().take(MAX_SENSORS).collect(),
             settings,
             outbox,
@@ -144,7 +152,7 @@ where
     }
 
     /// The store.
-    pub fn outbox(&self) -> &Outbox<RECORDS, SENSORS> {
+    pub fn outbox(&self) -> &Outbox<RECORDS, SENSORS, BLOCKS> {
         self.outbox.borrow()
     }
 

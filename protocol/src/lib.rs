@@ -67,9 +67,13 @@
 //! naming both numbers ([`Refused::Version`]), and exchange nothing else.
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
 #[cfg(feature = "defmt")]
 use defmt as _;
 
+mod archive;
 mod board_link;
 mod configuration;
 #[cfg(test)]

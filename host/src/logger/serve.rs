@@ -13,8 +13,10 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::engine::{Engine, Tally};
 use super::group::{Group, MarkKind};
+use super::program::SignedProgram;
 use super::registry::Registry;
 use super::sink::{Sink, SinkError};
+use super::status::{Status, interval_us};
 use super::store::{Attachment, Finished, Rotation, Store, StoreError};
 use crate::input::InputError;
 use crate::robot::Robot;
@@ -83,10 +85,12 @@ pub enum Wish {
     StopRun,
     /// To mark a step.
     Mark(String),
+    /// To offer a board a new program: its number, the offer's, the program's patience on trial in seconds, and the file.
+    Update(u32, u32, u16, PathBuf),
 }
 
 impl Wish {
-    /// Reads a wish from its words, `run NAME`, `stop-run`, `mark TEXT` or `stop`.
+    /// Reads a wish from its words, `run NAME`, `stop-run`, `mark TEXT`, `update BOARD ORDER SECONDS FILE` or `stop`.
     pub fn parse(text: &str) -> Option<Self> {
         let (verb, rest) = text.split_once(' ').unwrap_or((text, ""));
         match (verb, rest.trim()) {
@@ -94,6 +98,12 @@ impl Wish {
             ("stop-run", "") => Some(Wish::StopRun),
             ("run", name) if !name.is_empty() => Some(Wish::StartRun(name.to_owned())),
             ("mark", text) if !text.is_empty() => Some(Wish::Mark(text.to_owned())),
+            ("update", rest) => {
+                let mut parts = rest.splitn(4, ' ');
+                let (board, order) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+                let patience_s = parts.next()?.parse().ok()?;
+                Some(Wish::Update(board, order, patience_s, parts.next()?.into()))
+            }
             _ => None,
         }
     }
@@ -188,6 +198,7 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
         retry_us: 0,
         tick_us: 0,
         slow_us: 0,
+        told_us: 0,
     };
     for Finished { path, cut } in finished {
         let text = format!(
@@ -259,6 +270,7 @@ struct Logger {
     retry_us: u64,
     tick_us: u64,
     slow_us: u64,
+    told_us: u64,
 }
 
 impl Logger {
@@ -330,6 +342,10 @@ impl Logger {
                 None => {}
             }
         }
+        if now_us.saturating_sub(self.told_us) >= interval_us(self.engine.boards().len()) {
+            self.told_us = now_us;
+            self.tell_others(now_us);
+        }
         for text in self.engine.watch_mut().take_unsaid() {
             view.say(now_us, &text);
             self.engine.note_warning(now_us, text);
@@ -342,6 +358,11 @@ impl Logger {
         for wish in wishes {
             self.wish(wish, view, stop);
         }
+    }
+
+    fn tell_others(&mut self, now_us: u64) {
+        // It is for people, and written again in a moment; what keeps the store from being written is told elsewhere.
+        let _ = Status::of(&self.engine, now_us).write(&self.state.store);
     }
 
     fn look_at_disk(&mut self, now_us: u64) {
@@ -373,6 +394,15 @@ impl Logger {
                 view.say(now_us, &format!("mark: {text}"));
                 self.engine.mark(now_us, MarkKind::Mark, text);
             }
+            Wish::Update(board, order, patience_s, file) => {
+                let bytes = std::fs::read(&file).map_err(|error| error.to_string());
+                match bytes.and_then(|bytes| SignedProgram::from_bytes(&bytes)) {
+                    Ok(program) => self.engine.updates_mut().begin(board, order, patience_s, Arc::new(program)),
+                    Err(error) => {
+                        view.say(now_us, &format!("no new program for board {board}: {}: {error}", file.display()))
+                    }
+                }
+            }
         }
     }
 
@@ -391,6 +421,7 @@ impl Logger {
             self.settle(outcome);
         }
         self.answer();
+        self.tell_others(self.clock.now_us());
         if self.control.is_some() {
             let _ = std::fs::remove_file(control_path(&self.state.store));
         }

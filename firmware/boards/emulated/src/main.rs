@@ -31,10 +31,10 @@ use crate::i2c::Master;
 use crate::retained::Note;
 use crate::watchdog::Dog;
 
-/// The records that fit the 64 KiB of this board beside everything else: 11 minutes at one a second.
-const RECORDS: usize = 700;
+/// The blocks of records that fit the 64 KiB of this board beside everything else.
+const BLOCKS: usize = 64;
 
-static STORE: ConstStaticCell<Store<RECORDS>> = ConstStaticCell::new(Store::new(0));
+static STORE: ConstStaticCell<Store<BLOCKS>> = ConstStaticCell::new(Store::new(0));
 
 /// Where the configuration lies: the last KiB of flash, outside the linker's map.
 const CONFIGURATION_PAGE: usize = 0x0003_FC00;
@@ -42,6 +42,8 @@ const CONFIGURATION_PAGE: usize = 0x0003_FC00;
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     clock::start();
+    // What cannot go on from here is reset by the watchdog, as on the other board.
+    let watchdog = Dog::start();
     let configuration = match Configuration::from_page(configuration_page()) {
         Ok(configuration) => {
             static CONFIGURATION: StaticCell<Configuration> = StaticCell::new();
@@ -69,7 +71,8 @@ async fn main(spawner: Spawner) {
         Err(_) => unreachable!("the task's only instance is spawned once"),
     }
 
-    let identity = Identity { firmware: VERSION, reset, capacity: RECORDS as u32 };
+    // The link knows its store's capacity.
+    let identity = Identity { firmware: VERSION, reset, capacity: 0 };
     let store = STORE.take();
     store.begin(boot);
     let link = Link::resume(
@@ -86,7 +89,7 @@ async fn main(spawner: Spawner) {
         bus: Master::new(),
         stack,
         radio: Cable,
-        watchdog: Dog::start(),
+        watchdog,
         supply: Mains,
         configuration,
         // What the same duty would cost on the board that is glued to robots.

@@ -66,7 +66,7 @@ pub fn take_up_update(
     match Updater::start(flash, layout, TARGET, key, running) {
         Ok(taken_up) => Some(taken_up),
         Err(failed) => {
-            error!("no new programs: {}", failed);
+            error!("no new programs: {}", defmt::Debug2Format(&failed));
             None
         }
     }

@@ -40,13 +40,13 @@ use crate::radio::Station;
 
 esp_bootloader_esp_idf::esp_app_desc!();
 
-/// The records that fit the RAM beside the radio's heap: an hour and 42 minutes at one a second before the oldest are thinned.
-const RECORDS: usize = 6144;
+/// The blocks of records that fit the RAM beside the radio's heap.
+const BLOCKS: usize = 736;
 /// The radio's heap: the part that the second-stage bootloader no longer needs, and the rest.
 const RECLAIMED_HEAP: usize = 64 * 1024;
 const FURTHER_HEAP: usize = 36 * 1024;
 
-static STORE: ConstStaticCell<Store<RECORDS>> = ConstStaticCell::new(Store::new(0));
+static STORE: ConstStaticCell<Store<BLOCKS>> = ConstStaticCell::new(Store::new(0));
 
 #[esp_rtos::main]
 async fn main(spawner: Spawner) {
@@ -57,8 +57,17 @@ async fn main(spawner: Spawner) {
     let sleep = esp_rtos::sleep::configure(peripherals.LPWR);
     esp_rtos::start_with_idle_hook(timers.timer0, peripherals.FROM_CPU_INTR0, sleep.light_sleep_hook);
 
+    // What cannot go on from here is reset by the watchdog: a program on trial that cannot start is gone back from.
+    let watchdog = Dog::start(Rtc::new(peripherals.RTC_TIMER));
     let mut flash = flash::open(peripherals.FLASH);
-    let (configuration, boot) = match flash::begin_boot(&mut flash) {
+    let begun = flash::begin_boot(&mut flash);
+    let key = begun.as_ref().ok().and_then(|(configuration, _)| configuration.update_key);
+    let mut updater = match flash::take_up_update(flash, key) {
+        Some((_, Start::Restart)) => restart(),
+        Some((updater, Start::Run)) => Some(updater),
+        None => None,
+    };
+    let (configuration, boot) = match begun {
         Ok((configuration, boot)) => {
             static CONFIGURATION: StaticCell<Configuration> = StaticCell::new();
             (&*CONFIGURATION.init(configuration), boot)
@@ -67,11 +76,6 @@ async fn main(spawner: Spawner) {
             error!("nothing can be done: {}", unconfigured);
             return;
         }
-    };
-    let mut updater = match flash::take_up_update(flash, configuration.update_key) {
-        Some((_, Start::Restart)) => restart(),
-        Some((updater, Start::Run)) => Some(updater),
-        None => None,
     };
     let reset = why_reset();
     info!("board {=u32}, boot {=u32} after {}", configuration.board, boot, reset);
@@ -103,7 +107,8 @@ async fn main(spawner: Spawner) {
         configuration.board,
         configuration.key.clone(),
         boot,
-        Identity { firmware: VERSION, reset, capacity: RECORDS as u32 },
+        // The link knows its store's capacity.
+        Identity { firmware: VERSION, reset, capacity: 0 },
         &configuration.sensors,
         Settings::default(),
         embassy_time::Instant::now().as_micros(),
@@ -113,7 +118,7 @@ async fn main(spawner: Spawner) {
         bus: Bus::new(peripherals.I2C0, peripherals.GPIO6, peripherals.GPIO7),
         stack,
         radio: Station::new(),
-        watchdog: Dog::start(Rtc::new(peripherals.RTC_TIMER)),
+        watchdog,
         supply: Cell::new(peripherals.ADC1, peripherals.GPIO2),
         configuration,
         currents: ESP32C3_MAX30205,
