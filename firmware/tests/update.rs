@@ -94,19 +94,19 @@ enum End {
 struct World {
     /// Whether a program on trial reaches the host.
     reaches: bool,
-    /// Of so many datagrams one is lost; none are at 0.
-    loss: u32,
-    datagrams: u32,
+    /// How many percent of datagrams are lost.
+    loss: u64,
+    random: u64,
 }
 
 impl World {
     fn kind() -> Self {
-        Self { reaches: true, loss: 0, datagrams: 0 }
+        Self { reaches: true, loss: 0, random: 0 }
     }
 
     fn loses(&mut self) -> bool {
-        self.datagrams += 1;
-        self.loss != 0 && self.datagrams.is_multiple_of(self.loss)
+        self.random = self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.random >> 33) % 100 < self.loss
     }
 
     fn boot(&mut self, flash: &Flash, program: &[u8], offer: &Offer) -> End {
@@ -384,12 +384,13 @@ proptest! {
     #[test]
     fn whatever_comes_a_whole_program_is_started(
         cuts in proptest::collection::vec((1usize..4000, any::<u64>()), 0..12),
-        loss in prop_oneof![Just(0u32), 3u32..9],
+        loss in 0u64..50,
+        random: u64,
         reaches in any::<bool>(),
     ) {
         let flash = flash(0x5A);
         let offer = offer_of(&newer(), 7);
-        let mut world = World { reaches, loss, datagrams: 0 };
+        let mut world = World { reaches, loss, random };
         let mut cuts = cuts.into_iter();
         let mut boots = 0;
         let state = loop {
