@@ -118,6 +118,17 @@ impl Block {
             .fold(0, |bits, (index, _)| bits | 1 << index)
     }
 
+    /// Whether records of another block can follow its own in one.
+    fn is_like(&self, other: &Self) -> bool {
+        self.boot == other.boot && (self.readings ^ other.readings) & !SENT_TWICE == 0
+    }
+
+    /// How far its records were apart when it was written, in sequences: to the nearest power of two, its logarithm.
+    fn coarseness(&self) -> u32 {
+        let between = u32::from(self.count).saturating_sub(1).max(1);
+        (self.last.wrapping_sub(self.first) / between).saturating_mul(3).max(2).ilog2() - 1
+    }
+
     fn all(&self) -> u32 {
         u32::MAX >> (BLOCK_RECORDS - usize::from(self.count))
     }
@@ -297,41 +308,38 @@ impl<const SENSORS: usize> Reader<'_, SENSORS> {
     }
 }
 
-/// Thins blocks to every second of their records, in place; gives how many blocks are left and how many records went.
-pub(crate) fn thin<const SENSORS: usize>(blocks: &mut [Block]) -> (usize, usize) {
-    let (mut written, mut gone, mut index) = (0, 0, 0);
-    let mut writer: Option<Writer<SENSORS>> = None;
-    for input in 0..blocks.len() {
-        // A copy: its place may be written before its last record is read.
-        let block = blocks[input];
-        for (_, record) in block.records::<SENSORS>() {
-            index += 1;
-            if index % 2 == 0 {
-                gone += 1;
-                continue;
-            }
-            if writer.as_mut().is_some_and(|writer| writer.push(&record)) {
-                continue;
-            }
-            if let Some(full) = writer.take() {
-                blocks[written] = full.block;
-                written += 1;
-            }
-            // Half of the records in more blocks than all of them had: only differences gone wild do that.
-            if written > input {
-                gone += 1;
-                continue;
-            }
-            let mut next = Writer::begin(&record);
-            next.push(&record);
-            writer = Some(next);
+/// Makes room for a block where the trace is finest, the oldest first: two neighbours become one of every second of
+/// their records. So what is held gets evenly coarser, and never much coarser at its beginning than it must. Where no two
+/// neighbours can become one, the oldest goes. Gives how many records went.
+pub(crate) fn thin<const SENSORS: usize, const BLOCKS: usize>(blocks: &mut Vec<Block, BLOCKS>) -> usize {
+    let before: usize = blocks.iter().map(Block::len).sum();
+    let finest = (1..blocks.len().div_ceil(2))
+        .filter_map(|later| {
+            let (first, second) = (&blocks[later - 1], &blocks[later]);
+            first.is_like(second).then(|| (first.coarseness().max(second.coarseness()), later))
+        })
+        .min();
+    let one = finest.and_then(|(_, later)| Some((later, halves::<SENSORS>(&blocks[later - 1], &blocks[later])?)));
+    match one {
+        Some((later, block)) => {
+            blocks[later - 1] = block;
+            blocks.remove(later);
         }
+        None if blocks.is_empty() => {}
+        None => drop(blocks.remove(0)),
     }
-    if let Some(last) = writer {
-        blocks[written] = last.block;
-        written += 1;
-    }
-    (written, gone)
+    before - blocks.iter().map(Block::len).sum::<usize>()
+}
+
+/// Every second record of two blocks, or evenly as many fewer as one block holds.
+fn halves<const SENSORS: usize>(first: &Block, second: &Block) -> Option<Block> {
+    const OF: usize = 16;
+    let records = || first.records::<SENSORS>().chain(second.records::<SENSORS>()).map(|(_, record)| record);
+    (1..=OF / 2).rev().find_map(|kept| {
+        let mut writer = Writer::begin(&records().next()?);
+        let mut left = records().enumerate().filter(|(index, _)| index * kept % OF < kept);
+        left.all(|(_, record)| writer.push(&record)).then_some(writer.block)
+    })
 }
 
 /// Whether a reading of a variant has counts.
@@ -423,22 +431,45 @@ mod tests {
         }
 
         #[test]
-        fn thinning_keeps_every_second_record_as_it_was(records in records()) {
-            let (mut blocks, mut rest) = (std::vec::Vec::new(), &records[..]);
+        fn thinning_makes_one_of_two_blocks_and_changes_no_record_that_is_left(records in records()) {
+            let (mut blocks, mut rest) = (Vec::<Block, 80>::new(), &records[..]);
             while let Some((block, taken)) = Block::of(rest) {
-                blocks.push(block);
+                prop_assert!(blocks.push(block).is_ok());
                 rest = &rest[taken..];
             }
-            let (written, gone) = thin::<4>(&mut blocks);
-            prop_assert!(written <= blocks.len());
-            let left: std::vec::Vec<_> =
-                blocks[..written].iter().flat_map(|block| block.records::<4>()).map(|(_, held)| key(&held)).collect();
-            prop_assert_eq!(left.len() + gone, records.len());
-            let second: std::vec::Vec<_> = records.iter().step_by(2).map(key).collect();
-            // Where differences are wild, a few more may go; none changes or comes twice.
-            prop_assert!(left.iter().all(|one| second.contains(one)));
-            prop_assert!(left.windows(2).all(|pair| second.iter().position(|one| *one == pair[0]) < second.iter().position(|one| *one == pair[1])));
-            prop_assert!(gone <= records.len() / 2 + records.len() / 4);
+            let mut left: std::vec::Vec<_> = records.iter().map(key).collect();
+            while !blocks.is_empty() {
+                let before = blocks.len();
+                let gone = thin::<4, 80>(&mut blocks);
+                prop_assert_eq!(blocks.len(), before - 1);
+                let now: std::vec::Vec<_> =
+                    blocks.iter().flat_map(|block| block.records::<4>()).map(|(_, held)| key(&held)).collect();
+                prop_assert_eq!(now.len() + gone, left.len());
+                // Each that is left comes once, in its order, as it was.
+                let mut earlier = left.iter();
+                prop_assert!(now.iter().all(|one| earlier.any(|other| other == one)));
+                left = now;
+            }
         }
+    }
+
+    #[test]
+    fn the_trace_of_a_long_outage_gets_evenly_coarser_from_its_beginning() {
+        const BLOCKS: usize = 16;
+        let mut blocks = Vec::<Block, BLOCKS>::new();
+        for first in (0..100 * BLOCK_RECORDS as u64).step_by(BLOCK_RECORDS) {
+            if blocks.is_full() {
+                thin::<4, BLOCKS>(&mut blocks);
+            }
+            let record = |sequence| Held::new(sequence, 7, sequence * 1_000_000, &[Reading::Ok(5); 4]);
+            let records: std::vec::Vec<Held<4>> = (first..first + BLOCK_RECORDS as u64).map(record).collect();
+            let (block, taken) = Block::of(&records).expect("there are records");
+            assert!(taken == records.len() && blocks.push(block).is_ok());
+        }
+        let coarseness: std::vec::Vec<u32> = blocks.iter().map(Block::coarseness).collect();
+        assert!(coarseness.windows(2).all(|pair| pair[0] >= pair[1]), "{coarseness:?}");
+        // 92 blocks' time in eight is 12 to one: 2^4 must be there, and 2^5 where the younger ones are finer.
+        assert!(coarseness[0] <= 5 && coarseness[8..].iter().all(|&fine| fine == 0), "{coarseness:?}");
+        assert_eq!(blocks[0].first, 0);
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! A full store thins itself: of its older half every second record goes, so that a long outage leaves an even, coarser
 //! trace of its beginning and all of its end. With an archive, what waits longer than the newest few is coded by its
-//! differences there ([`crate::archive`]), and the archive is what is thinned.
+//! differences there (`crate::archive`), and the archive is what is thinned.
 
 use core::num::NonZeroU32;
 
@@ -294,22 +294,11 @@ impl<const RECORDS: usize, const SENSORS: usize, const BLOCKS: usize> Outbox<REC
         self.archive.iter().map(Block::len).sum()
     }
 
-    /// Makes room in what is held in full: the oldest go into the archive, coded. A full archive is thinned first: of the
-    /// older half of its blocks, every second record goes.
+    /// Makes room in what is held in full: the oldest go into the archive, coded. A full archive is thinned first, where
+    /// its older half is finest.
     fn put_by(&mut self) {
         if self.archive.is_full() {
-            let older = self.archive.len().div_ceil(2);
-            let (left, mut gone) = archive::thin::<SENSORS>(&mut self.archive[..older]);
-            // Where thinning frees no block, the oldest goes.
-            let mut freed = older - left;
-            if freed == 0 {
-                gone += self.archive[0].len();
-                freed = 1;
-                self.archive.copy_within(1.., 0);
-            } else {
-                self.archive.copy_within(older.., left);
-            }
-            self.archive.truncate(self.archive.len() - freed);
+            let gone = archive::thin::<SENSORS, BLOCKS>(&mut self.archive);
             self.dropped = self.dropped.saturating_add(u32::try_from(gone).unwrap_or(u32::MAX));
         }
         if let Some((block, count)) = Block::of(&self.held) {

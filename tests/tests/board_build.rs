@@ -25,7 +25,7 @@ fn toolchain(workshop: &Workshop, targets: &[&str]) -> PathBuf {
         fs::set_permissions(path, PermissionsExt::from_mode(0o755)).unwrap();
     };
     script("rustc", format!("[ \"$*\" = '--print sysroot' ] && echo {}", sysroot.display()));
-    script("cargo", "echo cargo \"$@\"; env | grep -E '^(RUSTC|CARGO_TARGET)' | sort; pwd".to_owned());
+    script("cargo", "echo cargo \"$@\"; env | grep -E '^(RUSTC|RUSTFLAGS|CARGO_TARGET)' | sort; pwd".to_owned());
     folder
 }
 
@@ -49,12 +49,13 @@ fn rustups_toolchain_builds_where_it_has_the_target() {
         let said = String::from_utf8(output.stdout).unwrap();
         let lines: Vec<_> = said.lines().collect();
         let folder = fs::canonicalize(Path::new(REPOSITORY).join("firmware")).unwrap();
-        // No nightly feature, no other linker: nothing in the environment.
+        // No nightly feature, no other linker: in the environment is only what both toolchains are told.
         assert_eq!(
             lines,
             [
                 format!("cargo build --release --target {target} --package thermokin-board-{package}{more} --locked")
                     .as_str(),
+                "RUSTFLAGS= --cfg sha2_backend_soft=\"compact\"",
                 folder.to_str().unwrap(),
                 &format!("firmware/target/{target}/release/{package}"),
             ]

@@ -26,7 +26,10 @@ impl Debugger {
             match UnixStream::connect(socket) {
                 Ok(stream) => {
                     stream.set_read_timeout(Some(PATIENCE)).unwrap();
-                    return Self(stream);
+                    let mut debugger = Self(stream);
+                    debugger.send("?");
+                    debugger.wait_until_stopped();
+                    return debugger;
                 }
                 Err(error) => assert!(begin.elapsed() < PATIENCE, "QEMU's debugger: {error}"),
             }
@@ -55,20 +58,37 @@ impl Debugger {
             }
         }
         // The check's two digits.
-        (byte(), byte());
+        byte();
+        byte();
         self.0.write_all(b"+").unwrap();
         text
+    }
+
+    fn wait_until_stopped(&mut self) {
+        while !self.answer().starts_with('T') {}
+    }
+
+    /// The answer to a packet; that the processor stands still may be told in between.
+    fn ask(&mut self, packet: &str) -> String {
+        self.send(packet);
+        loop {
+            let answer = self.answer();
+            if !answer.starts_with('T') {
+                return answer;
+            }
+        }
     }
 
     /// Has the program go round in circles for ever, in its tasks: interrupts still come through.
     fn hang(mut self, address: u32) {
         const PROGRAM_COUNTER: u32 = 15;
         const STATUS: u32 = 25;
+        // QEMU gives single registers only to who has asked what registers there are.
+        self.ask("qXfer:features:read:target.xml:0,ffb");
         // It stops when the debugger connects; where an interrupt is just being served it is let run on.
         let begin = Instant::now();
         loop {
-            self.send(&format!("p{STATUS:x}"));
-            let status = u32::from_str_radix(&self.answer(), 16).unwrap().swap_bytes();
+            let status = u32::from_str_radix(&self.ask(&format!("p{STATUS:x}")), 16).unwrap().swap_bytes();
             if status & 0x1FF == 0 {
                 break;
             }
@@ -76,12 +96,10 @@ impl Debugger {
             self.send("c");
             sleep(Duration::from_millis(7));
             self.0.write_all(&[3]).unwrap();
-            self.answer();
+            self.wait_until_stopped();
         }
-        self.send(&format!("P{PROGRAM_COUNTER:x}={:08x}", address.swap_bytes()));
-        assert_eq!(self.answer(), "OK");
-        self.send("D");
-        assert_eq!(self.answer(), "OK");
+        assert_eq!(self.ask(&format!("P{PROGRAM_COUNTER:x}={:08x}", address.swap_bytes())), "OK");
+        assert_eq!(self.ask("D"), "OK");
     }
 }
 

@@ -13,8 +13,9 @@ use std::time::{Duration, Instant};
 use board_support::{Emulator, PATIENCE, Workshop, image, thermokin};
 use thermokin_protocol::Configuration;
 
-/// The most that the stack may take of the 64 KiB, while a signature is verified too. Who must raise it says why.
-const MOST_STACK: u32 = 16 * 1024;
+/// The most that the stack may take: 14 KiB without an update, 6 more while a signature is verified. Who must raise it says
+/// why. The ESP32-C3 leaves 36 KiB (board_images.rs).
+const MOST_STACK: u32 = 22 * 1024;
 /// What the start-up code fills the stack with.
 const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
 /// A restart ends the emulator, so that the test can play the bootloader; the flash chip is reached by semihosting.
@@ -59,7 +60,7 @@ impl Bench {
     /// `thermokin board update` with another program, which runs like the first.
     fn update(&self, patience_s: u16) -> Update {
         let file = self.workshop.file("new.bin");
-        fs::write(&file, [&image::program()[..], b"a program of its own"].concat()).unwrap();
+        fs::write(&file, self.new_program()).unwrap();
         let mut command = thermokin();
         command.args(["board", "update", "--board=0", "--target=emulated", "--program-version=0.2.0", "--json=-"]);
         command.arg(format!("--patience={patience_s}")).arg("--image").arg(file);
@@ -67,13 +68,24 @@ impl Bench {
         Update(command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
     }
 
-    /// Waits until the board is said to be some way through with receiving.
-    fn wait_until_received(&self, percent: u32) {
-        self.workshop.wait_until_listed(&format!("{percent}% received"), |listed| {
-            let state = listed["status"]["update"]["state"].as_str().unwrap_or_default();
-            let received = state.strip_prefix("receiving: ").and_then(|rest| rest.strip_suffix('%'));
-            received.is_some_and(|received| received.parse::<u32>().unwrap() >= percent)
-        });
+    /// Waits until the board has written some bytes of the new program, and has it stand still there.
+    fn pause_when_received(&self, board: &mut Emulator, bytes: usize) {
+        let begin = Instant::now();
+        while image::written(&self.chip(), 1) < bytes {
+            assert!(begin.elapsed() < PATIENCE, "{bytes} bytes are not received within {PATIENCE:?}");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        board.pause();
+        let received = image::written(&self.chip(), 1);
+        println!("stopped with {received} bytes of {} received", self.new_program().len());
+        assert!(received < self.new_program().len(), "all was received before the board could be stopped");
+    }
+
+    /// Another program that runs like the first, as long as a slot takes.
+    fn new_program(&self) -> Vec<u8> {
+        let mut program = image::program();
+        program.resize(image::SLOT_LENGTH, 0x5A);
+        program
     }
 }
 
@@ -105,6 +117,7 @@ impl Drop for Update {
 fn stack_used(board: &mut Emulator, bench: &Bench) -> u32 {
     let stack = image::stack();
     let memory = board.memory(stack.start, stack.len() as u32, &bench.workshop.file("stack.bin"));
+    assert_eq!(memory.len(), stack.len());
     let untouched = memory.chunks_exact(4).take_while(|word| *word == PAINT).count() as u32 * 4;
     assert!(untouched > 0, "the whole stack was used, or it was never painted");
     println!("stack: {} of {} bytes used", stack.len() as u32 - untouched, stack.len());
@@ -117,11 +130,14 @@ fn a_new_program_goes_over_the_air_and_stays() {
     let logger = bench.workshop.logger(None);
     let mut board = bench.boot();
     bench.workshop.wait_for_readings(0, 4);
+    let before = stack_used(&mut board, &bench);
     let update = bench.update(60);
     // By then it has verified the signature, and written flash.
-    bench.wait_until_received(20);
+    bench.pause_when_received(&mut board, 20_000);
     let used = stack_used(&mut board, &bench);
+    assert!(used > before, "the update takes no stack, so it is not what was measured");
     assert!(used <= MOST_STACK, "{used} bytes of stack, bound {MOST_STACK}");
+    board.go_on();
     board.wait_for_restart("the new program");
     assert_eq!(image::chosen_slot(&bench.chip()), 1);
     let board = bench.boot();
@@ -144,10 +160,10 @@ fn a_new_program_goes_over_the_air_and_stays() {
 fn a_transfer_survives_a_loss_of_power_and_a_program_without_a_host_is_gone_back_from() {
     let bench = Bench::new("rollback");
     let logger = bench.workshop.logger(None);
-    let board = bench.boot();
+    let mut board = bench.boot();
     bench.workshop.wait_for_readings(0, 2);
     let update = bench.update(10);
-    bench.wait_until_received(30);
+    bench.pause_when_received(&mut board, 30_000);
     // Dropping it is a loss of power.
     drop(board);
     let board = bench.boot();

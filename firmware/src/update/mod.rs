@@ -1,7 +1,7 @@
 //! New programs over the air: takes an offer that is signed, fills the other slot chunk by chunk, checks it, has the
 //! bootloader start it on trial, and goes back to the earlier program unless the new one reaches the host.
 //!
-//! The program that runs is never written over. What was done is in flash ([`journal`]), so a reset or a loss of power
+//! The program that runs is never written over. What was done is in flash (`journal`), so a reset or a loss of power
 //! at any moment costs at most one sector of the transfer, and the board always has a whole program to start. A program
 //! on trial has [`TRIES`] starts; in each it must have a record acknowledged within the offer's patience, or the board
 //! restarts. What no program can do is to go back from one that dies before it comes to [`Updater::start`].

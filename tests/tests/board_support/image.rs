@@ -9,7 +9,8 @@ use super::REPOSITORY;
 /// Where the board looks for the parts of an update in its flash chip: firmware/boards/emulated/src/flash.rs.
 const OTADATA: usize = 0x2000;
 const SLOTS: [usize; 2] = [0x1_0000, 0x5_0000];
-const SLOT_LENGTH: usize = 0x4_0000;
+/// The most that a program may take.
+pub const SLOT_LENGTH: usize = 0x4_0000;
 const LENGTH: usize = 0x9_0000;
 /// The part of the processor's flash that holds the program.
 const PROGRAM_LENGTH: usize = 0x3_FC00;
@@ -60,7 +61,7 @@ pub fn stack() -> Range<u32> {
     let elf = elf();
     let (table, entry, count) = (word(&elf, 0x20) as usize, half(&elf, 0x2E), half(&elf, 0x30));
     let ends = (0..count).map(|index| table + index * entry).filter_map(|at| {
-        let (flags, address, length) = (word(&elf, at + 8), word(&elf, at + 12), word(&elf, at + 16));
+        let (flags, address, length) = (word(&elf, at + 8), word(&elf, at + 12), word(&elf, at + 20));
         const ALLOCATED: u32 = 2;
         (flags & ALLOCATED != 0 && RAM.contains(&address)).then_some(address + length)
     });
@@ -90,4 +91,10 @@ pub fn chosen_slot(chip: &[u8]) -> usize {
 /// The program in a slot, as much of it as the processor's flash holds.
 pub fn in_slot(chip: &[u8], slot: usize) -> &[u8] {
     &chip[SLOTS[slot]..SLOTS[slot] + PROGRAM_LENGTH]
+}
+
+/// How much of a slot is written, in bytes from its start.
+pub fn written(chip: &[u8], slot: usize) -> usize {
+    let slot = &chip[SLOTS[slot]..SLOTS[slot] + SLOT_LENGTH];
+    slot.iter().rposition(|&byte| byte != 0xFF).map_or(0, |last| last + 1)
 }

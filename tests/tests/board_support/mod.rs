@@ -332,6 +332,16 @@ impl Emulator {
         self.order("system_reset", json!({}));
     }
 
+    /// Has the board stand still, its clock too.
+    pub fn pause(&mut self) {
+        self.order("stop", json!({}));
+    }
+
+    /// Has it go on.
+    pub fn go_on(&mut self) {
+        self.order("cont", json!({}));
+    }
+
     /// Waits until the board has switched the emulator off by a restart; only for one that was started with
     /// `-action reboot=shutdown`.
     ///
