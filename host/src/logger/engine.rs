@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 use thermokin_protocol::update::UpdateOrder;
 use thermokin_protocol::{
-    Arrival, Header, HostLink, Identity, Inbox, Key, Kind, MAX_DATAGRAM, Received, Refused, ReplayGuard,
-    SCHEMA_VERSION, Sensor, Settings,
+    Arrival, Header, HostLink, Identity, Inbox, Kind, MAX_DATAGRAM, Received, Refused, ReplayGuard, SCHEMA_VERSION,
+    Sensor, Settings,
 };
 
 use super::clock::{BoardClock, Bound, ClockFit};
