@@ -41,6 +41,7 @@ fn main() {
     let rows = [
         (PowerMode::Live, 1),
         (PowerMode::Live, 10),
+        (PowerMode::Live, 60),
         (PowerMode::Burst, 1),
         (PowerMode::Burst, 10),
         (PowerMode::Burst, 60),
