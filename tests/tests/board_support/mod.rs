@@ -279,7 +279,8 @@ impl Emulator {
         let _ = fs::remove_file(&socket);
         let mut command = Command::new("qemu-system-arm");
         command
-            .args(["-M", "lm3s6965evb", "-display", "none", "-monitor", "none", "-nic", "user"])
+            // It stands still until the monitor is reached: a board that restarts at once may end the emulator before.
+            .args(["-M", "lm3s6965evb", "-display", "none", "-monitor", "none", "-nic", "user", "-S"])
             .arg("-kernel")
             .arg(image);
         command.arg("-device").arg(format!("loader,file={},addr={CONFIGURATION_PAGE},force-raw=on", page.display()));
@@ -306,6 +307,7 @@ impl Emulator {
         let mut emulator = Self { process, monitor: BufReader::new(monitor) };
         emulator.answer();
         emulator.order("qmp_capabilities", json!({}));
+        emulator.go_on();
         emulator
     }
 
