@@ -7,6 +7,7 @@ use std::fs;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::thread::sleep;
 use std::time::Duration;
 
 use link_bench::{Bench, PATIENCE};
@@ -114,6 +115,49 @@ fn a_robots_sensors_by_name_with_a_scenarios_temperatures_at_their_times() {
         }
     }
     assert_eq!(exported["readings"], compared);
+}
+
+#[test]
+fn runs_and_marks_from_another_terminal() {
+    let bench = Bench::new();
+    let boards = ["board", "virtual", "--registry", "boards.toml", "--count", "1", "--seed", "6"];
+    bench.run(&[&boards[..], &["--duration", "0", "--drain", "0"]].concat());
+    let logger = bench.logger(&[]);
+    let mut child = bench
+        .thermokin(&boards)
+        .args(["--host", &logger.address, "--rate", "10", "--batch", "5", "--duration", "6", "--drain", "60"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the boards start");
+    bench.run(&["log", "run", "first"]);
+    sleep(Duration::from_secs(1));
+    bench.run(&["log", "mark", "cycle \"3\""]);
+    bench.run(&["log", "run", "--stop"]);
+    logger.wait_for("run first ends");
+    bench.run(&["log", "run", "second"]);
+    assert!(child.wait().expect("the boards end").success());
+    let words = logger.stop();
+    assert!(words.contains("mark: cycle \"3\""), "{words}");
+    let info = bench.json(&["log", "info"]);
+    let runs = info["runs"].as_array().expect("runs");
+    let names: Vec<_> = runs.iter().map(|run| run["name"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["first", "second"]);
+    let (start_s, stop_s) = (runs[0]["start_s"].as_f64().expect("a time"), runs[0]["stop_s"].as_f64().expect("a time"));
+    // The times are those at which the commands were given: the logger hears them within a few milliseconds, if it runs.
+    assert!(stop_s - start_s >= 0.95, "{info}");
+    // A run's table has what was read within it: its times begin with the run and end before it does.
+    let table = |run: &str| {
+        bench.run(&["log", "export", "--run", run, "--out", "table.csv"]);
+        let text = fs::read_to_string(bench.path("table.csv")).expect("it is written");
+        rows(&text).iter().map(|row| row[0].parse().expect("a time")).collect::<Vec<f64>>()
+    };
+    let (first, second) = (table("first"), table("second"));
+    assert!(!second.is_empty() && second.iter().all(|time_s| *time_s >= 0.0), "{second:?}");
+    assert!(first.iter().all(|time_s| (0.0..=stop_s - start_s).contains(time_s)), "{first:?}");
+    // Four sensors, ten times a second; what lies between the runs is in neither.
+    let all = bench.json(&["log", "export", "--out", "all.csv"])["exported"]["readings"].as_u64().expect("a number");
+    assert!(first.len() >= 4 && first.len() as u64 + (second.len() as u64) <= all, "{} {}", first.len(), second.len());
 }
 
 /// A datagram of another schema version under the right key: a message that this version cannot read, or a notice.

@@ -288,6 +288,7 @@ impl Logger {
             }
         }
         self.answer();
+        self.hear_wishes(view, stop);
         if now_us.saturating_sub(self.tick_us) >= TICK_US {
             self.tick_us = now_us;
             self.tick(now_us, view, stop);
@@ -350,13 +351,18 @@ impl Logger {
             view.say(now_us, &text);
             self.engine.note_warning(now_us, text);
         }
-        let mut wishes = view.show(&self.engine, &self.state, now_us);
+        for wish in view.show(&self.engine, &self.state, now_us) {
+            self.wish(wish, view, stop);
+        }
+    }
+
+    /// Takes what other terminals ask for. In every turn: the time of a mark is the time at which it is heard here.
+    fn hear_wishes(&mut self, view: &mut dyn View, stop: &AtomicBool) {
         let mut buffer = [0; 512];
         while let Some(Ok(length)) = self.control.as_ref().map(|control| control.recv(&mut buffer)) {
-            wishes.extend(std::str::from_utf8(&buffer[..length]).ok().and_then(Wish::parse));
-        }
-        for wish in wishes {
-            self.wish(wish, view, stop);
+            if let Some(wish) = std::str::from_utf8(&buffer[..length]).ok().and_then(Wish::parse) {
+                self.wish(wish, view, stop);
+            }
         }
     }
 
