@@ -41,6 +41,7 @@ fn main() {
     let rows = [
         (PowerMode::Live, 1),
         (PowerMode::Live, 10),
+        (PowerMode::Live, 60),
         (PowerMode::Burst, 1),
         (PowerMode::Burst, 10),
         (PowerMode::Burst, 60),
@@ -73,7 +74,7 @@ fn budget(mode: PowerMode, batch: u16) -> Row {
     let mut sampler = Sampler::new(bus, &sensors).expect("the addresses are the part's");
     let identity = Identity { firmware: VERSION, reset: ResetReason::PowerOn, capacity: 0 };
     let settings = Settings { batch_length: batch, power: mode, ..Settings::default() };
-    let mut store: Store<128> = Store::new(1);
+    let mut store: Store<0> = Store::new(1);
     let mut link = BoardLink::resume(1, Key::from_bytes([1; 32]), 1, identity, &sensors, settings, 0, &mut store);
     let mut duty = Duty::new(Instant::now());
     let mut datagram = [0; MAX_DATAGRAM];

@@ -14,6 +14,7 @@ use crate::grid::Grid;
 use crate::log::{alarm, info};
 use crate::power::{Currents, Duty};
 use crate::sampler::{BadAddress, Sampler};
+use crate::update::Updates;
 use crate::uplink::Uplink;
 use crate::vigil::Vigil;
 
@@ -25,11 +26,15 @@ const BUDGET_EVERY: u32 = 60;
 /// The most sensors that a board of this firmware has.
 pub const SENSORS: usize = 4;
 
-/// The records that the host does not have yet, with room for a number of them; in a static, for it is most of the RAM.
-pub type Store<const RECORDS: usize> = Outbox<RECORDS, SENSORS>;
+/// The newest records that are held in full: what is sent at once and what is under way; older ones are coded.
+const IN_FULL: usize = 128;
+
+/// The records that the host does not have yet: a number of blocks of up to 32, beside the newest. In a static, for it is
+/// most of the RAM.
+pub type Store<const BLOCKS: usize> = Outbox<IN_FULL, SENSORS, BLOCKS>;
 
 /// The protocol's end on the board.
-pub type Link<const RECORDS: usize> = BoardLink<RECORDS, SENSORS, &'static mut Store<RECORDS>>;
+pub type Link<const BLOCKS: usize> = BoardLink<IN_FULL, SENSORS, BLOCKS, &'static mut Store<BLOCKS>>;
 
 /// The part of the network that draws the current.
 pub trait Radio {
@@ -71,12 +76,16 @@ pub struct Board<'a, B, R, W, S> {
     pub configuration: &'a Configuration,
     /// What the board's parts draw.
     pub currents: Currents,
+    /// New programs over the air, on a board that has room for a second one.
+    pub updates: Option<&'a mut dyn Updates>,
+    /// Restarts the board, into a new program for instance.
+    pub restart: fn() -> !,
 }
 
 /// What the loops of a board share; all of them run on one executor, one at a time.
-pub(crate) struct Shared<const RECORDS: usize> {
+pub(crate) struct Shared<'a, const BLOCKS: usize> {
     /// The protocol's end, which holds the records.
-    pub(crate) link: RefCell<Link<RECORDS>>,
+    pub(crate) link: RefCell<Link<BLOCKS>>,
     /// A record was stored.
     pub(crate) recorded: Notice<NoopRawMutex, ()>,
     /// Who progressed.
@@ -87,6 +96,10 @@ pub(crate) struct Shared<const RECORDS: usize> {
     pub(crate) battery: Cell<Battery>,
     /// What failed.
     pub(crate) counters: Cell<BoardCounters>,
+    /// New programs over the air.
+    pub(crate) updates: RefCell<Option<&'a mut dyn Updates>>,
+    /// Restarts the board.
+    pub(crate) restart: fn() -> !,
 }
 
 impl<B: SensorBus, R: Radio, W: Watchdog, S: Supply> Board<'_, B, R, W, S> {
@@ -95,7 +108,7 @@ impl<B: SensorBus, R: Radio, W: Watchdog, S: Supply> Board<'_, B, R, W, S> {
     /// # Errors
     ///
     /// Only at once, when the configuration names a sensor at an address that it cannot have.
-    pub async fn run<const RECORDS: usize>(self, link: Link<RECORDS>) -> Result<(), BadAddress> {
+    pub async fn run<const BLOCKS: usize>(self, link: Link<BLOCKS>) -> Result<(), BadAddress> {
         let sampler = Sampler::new(self.bus, &self.configuration.sensors)?;
         let shared = Shared {
             link: RefCell::new(link),
@@ -104,6 +117,8 @@ impl<B: SensorBus, R: Radio, W: Watchdog, S: Supply> Board<'_, B, R, W, S> {
             duty: RefCell::new(Duty::new(Instant::now())),
             battery: Cell::new(Battery::NotMeasured),
             counters: Cell::new(BoardCounters::default()),
+            updates: RefCell::new(self.updates),
+            restart: self.restart,
         };
         let mut uplink = Uplink::new(self.stack, self.radio, self.configuration);
         let watching = watch(&shared, self.watchdog, self.supply, self.currents, self.configuration.sensors.len());
@@ -112,14 +127,14 @@ impl<B: SensorBus, R: Radio, W: Watchdog, S: Supply> Board<'_, B, R, W, S> {
     }
 }
 
-impl<const RECORDS: usize> Shared<RECORDS> {
+impl<const BLOCKS: usize> Shared<'_, BLOCKS> {
     fn period(&self) -> Duration {
         Duration::from_millis(u64::from(self.link.borrow().settings().sampling_period_ms))
     }
 }
 
 /// Stores what the sensors read, at the times of the grid.
-async fn sample<B: SensorBus, const RECORDS: usize>(shared: &Shared<RECORDS>, mut sampler: Sampler<B>) {
+async fn sample<B: SensorBus, const BLOCKS: usize>(shared: &Shared<'_, BLOCKS>, mut sampler: Sampler<B>) {
     let mut grid = Grid::new(shared.period(), Instant::now());
     loop {
         if grid.period() != shared.period() {
@@ -142,8 +157,8 @@ async fn sample<B: SensorBus, const RECORDS: usize>(shared: &Shared<RECORDS>, mu
 }
 
 /// Feeds the watchdog while the others progress, measures the battery, and logs what the board costs.
-async fn watch<W: Watchdog, S: Supply, const RECORDS: usize>(
-    shared: &Shared<RECORDS>,
+async fn watch<W: Watchdog, S: Supply, const BLOCKS: usize>(
+    shared: &Shared<'_, BLOCKS>,
     mut watchdog: W,
     mut supply: S,
     currents: Currents,
@@ -151,7 +166,13 @@ async fn watch<W: Watchdog, S: Supply, const RECORDS: usize>(
 ) {
     let mut given_up = false;
     let mut rounds = 0;
+    let started = Instant::now();
     loop {
+        let patience = shared.updates.borrow().as_ref().and_then(|updates| updates.patience());
+        if patience.is_some_and(|patience| started.elapsed() > patience) {
+            alarm!("the new program has not reached the host in time: restart");
+            (shared.restart)();
+        }
         match shared.vigil.starving(Instant::now(), shared.period()) {
             None => {
                 watchdog.feed();
@@ -174,7 +195,7 @@ async fn watch<W: Watchdog, S: Supply, const RECORDS: usize>(
     }
 }
 
-fn log_budget<const RECORDS: usize>(shared: &Shared<RECORDS>, currents: Currents, sensors: usize) {
+fn log_budget<const BLOCKS: usize>(shared: &Shared<'_, BLOCKS>, currents: Currents, sensors: usize) {
     let now = Instant::now();
     let duty = shared.duty.borrow();
     let budget = currents.budget(&duty, shared.link.borrow().settings().power, sensors, now);

@@ -14,6 +14,7 @@
 //! | [`power`] | duty cycles counted, and the current that they cost |
 //! | [`vigil`] | whether sampling and uplink both progress, which the watchdog waits for |
 //! | [`boots`] | the boot number, greater at every start |
+//! | [`update`] | new programs over the air, and back from one that does not reach the host |
 //! | [`board`] | the parts put together |
 #![no_std]
 
@@ -25,6 +26,7 @@ mod log;
 pub mod power;
 pub mod sampler;
 pub mod sensor;
+pub mod update;
 pub mod uplink;
 pub mod vigil;
 

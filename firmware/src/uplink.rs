@@ -10,10 +10,12 @@ use embassy_net::dns::DnsQueryType;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{IpAddress, IpEndpoint, Stack};
 use embassy_time::{Duration, Instant, Timer, with_timeout};
+use thermokin_protocol::update::{UpdateOrder, UpdateRefusal, UpdateReport, UpdateState};
 use thermokin_protocol::{Configuration, MAX_DATAGRAM, PowerMode};
 
 use crate::board::{Radio, Shared};
 use crate::log::{alarm, info};
+use crate::update::Step;
 
 /// Datagrams that wait in the socket, each way.
 const QUEUE: usize = 2;
@@ -29,6 +31,8 @@ const LOOK_AGAIN: Duration = Duration::from_secs(60);
 const FIRST_RETRY: Duration = Duration::from_secs(1);
 /// The wait after a look-up that failed doubles up to here.
 const LAST_RETRY: Duration = Duration::from_secs(60);
+/// The time that the last words before a restart are given to leave.
+const FAREWELL: Duration = Duration::from_millis(500);
 /// Bursts that found no host are followed by up to 2^4 times as many records.
 const MAX_DOUBLINGS: u32 = 4;
 
@@ -41,6 +45,8 @@ pub(crate) struct Uplink<'a, R> {
     retry: Duration,
     /// No look-up before this.
     next_look_up: Instant,
+    /// When a transfer of a new program last went on; a burst waits for it.
+    transferred: Option<Instant>,
 }
 
 /// How a burst ended.
@@ -55,11 +61,18 @@ enum Burst {
 impl<'a, R: Radio> Uplink<'a, R> {
     /// An uplink over a network to the host that the configuration names.
     pub(crate) fn new(stack: Stack<'a>, radio: R, configuration: &'a Configuration) -> Self {
-        Self { stack, radio, configuration, retry: FIRST_RETRY, next_look_up: Instant::from_ticks(0) }
+        Self {
+            stack,
+            radio,
+            configuration,
+            retry: FIRST_RETRY,
+            next_look_up: Instant::from_ticks(0),
+            transferred: None,
+        }
     }
 
     /// Runs for ever.
-    pub(crate) async fn run<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>) {
+    pub(crate) async fn run<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>) {
         let (mut receive_metadata, mut send_metadata) =
             ([PacketMetadata::EMPTY; QUEUE], [PacketMetadata::EMPTY; QUEUE]);
         let (mut receive_buffer, mut send_buffer) = ([0; QUEUE * MAX_DATAGRAM], [0; QUEUE * MAX_DATAGRAM]);
@@ -90,20 +103,20 @@ impl<'a, R: Radio> Uplink<'a, R> {
         }
     }
 
-    async fn switch_on<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>) {
+    async fn switch_on<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>) {
         self.radio.up().await;
         shared.duty.borrow_mut().radio_switched_on(Instant::now());
     }
 
-    async fn switch_off<const RECORDS: usize>(&mut self, shared: &Shared<RECORDS>) {
+    async fn switch_off<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>) {
         self.radio.down().await;
         shared.duty.borrow_mut().radio_switched_off(Instant::now());
     }
 
     /// Until the host asks for another mode.
-    async fn live<const RECORDS: usize>(
+    async fn live<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) {
@@ -113,9 +126,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// Until the host asks for another mode. The radio is down when this begins and when it ends.
-    async fn bursts<const RECORDS: usize>(
+    async fn bursts<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) {
@@ -144,9 +157,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// The radio is up: sends until the host has everything, or is silent.
-    async fn burst<const RECORDS: usize>(
+    async fn burst<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) -> Burst {
@@ -166,7 +179,8 @@ impl<'a, R: Radio> Uplink<'a, R> {
             let link = shared.link.borrow();
             if link.heard_us() != before {
                 progress = Instant::now();
-                if link.outbox().is_empty() {
+                let transferring = self.transferred.is_some_and(|last| last.elapsed() < SILENCE);
+                if link.outbox().is_empty() && !transferring {
                     return Burst::Done;
                 }
             }
@@ -175,9 +189,9 @@ impl<'a, R: Radio> Uplink<'a, R> {
     }
 
     /// One round: sends what is due, then waits for an answer, a record or the next time that something is due.
-    async fn round<const RECORDS: usize>(
+    async fn round<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         socket: &UdpSocket<'_>,
         host: &mut Option<Host>,
     ) {
@@ -186,6 +200,7 @@ impl<'a, R: Radio> Uplink<'a, R> {
             return;
         };
         let mut datagram = [0; MAX_DATAGRAM];
+        let checking = self.check(shared, socket, endpoint, &mut datagram).await;
         loop {
             let now = Instant::now();
             let length = {
@@ -206,18 +221,12 @@ impl<'a, R: Radio> Uplink<'a, R> {
         }
         let now = Instant::now();
         let due = Instant::from_micros(shared.link.borrow().next_poll_us(now.as_micros()));
-        let due = due.clamp(now + Duration::from_millis(1), now + ROUND);
+        let longest = if checking { Duration::from_millis(1) } else { ROUND };
+        let due = due.clamp(now + Duration::from_millis(1), now + longest);
         match select3(socket.recv_from(&mut datagram), shared.recorded.wait(), Timer::at(due)).await {
             Either3::First(Ok((length, _))) => {
-                let now = Instant::now();
-                let heard = shared.link.borrow_mut().receive(now.as_micros(), &mut datagram[..length]);
-                match heard {
-                    Ok(heard) if heard.settings_changed => info!("new settings from the host"),
-                    Ok(_) => {}
-                    Err(_refused) => {
-                        #[cfg(feature = "defmt")]
-                        defmt::warn!("a datagram was refused: {}", _refused);
-                    }
+                if let Some(report) = self.heard(shared, &mut datagram[..length]) {
+                    self.report(shared, socket, endpoint, report, &mut datagram).await;
                 }
             }
             // A datagram longer than the protocol's is nobody's of ours.
@@ -225,11 +234,82 @@ impl<'a, R: Radio> Uplink<'a, R> {
         }
     }
 
+    /// Takes a datagram; gives what to report of a new program if that is what it was about.
+    fn heard<const BLOCKS: usize>(&mut self, shared: &Shared<'_, BLOCKS>, datagram: &mut [u8]) -> Option<UpdateReport> {
+        let now = Instant::now();
+        let heard = match shared.link.borrow_mut().receive(now.as_micros(), datagram) {
+            Ok(heard) => heard,
+            Err(_refused) => {
+                #[cfg(feature = "defmt")]
+                defmt::warn!("a datagram was refused: {}", _refused);
+                return None;
+            }
+        };
+        if heard.settings_changed {
+            info!("new settings from the host");
+        }
+        let mut updates = shared.updates.borrow_mut();
+        if heard.released > 0
+            && let Some(updates) = updates.as_mut()
+        {
+            updates.acknowledged();
+        }
+        let order = heard.update?;
+        let report = updates.as_mut().map_or_else(|| no_slots(&order), |updates| updates.order(&order));
+        if !report.state.is_final() {
+            self.transferred = Some(now);
+        }
+        Some(report)
+    }
+
+    /// Goes on with checking a new program, and restarts into it when that is done; whether there is more to check.
+    async fn check<const BLOCKS: usize>(
+        &mut self,
+        shared: &Shared<'_, BLOCKS>,
+        socket: &UdpSocket<'_>,
+        endpoint: IpEndpoint,
+        datagram: &mut [u8; MAX_DATAGRAM],
+    ) -> bool {
+        let step = shared.updates.borrow_mut().as_mut().map_or(Step::Idle, |updates| updates.step());
+        match step {
+            Step::Idle => false,
+            Step::More => {
+                self.transferred = Some(Instant::now());
+                true
+            }
+            Step::Report(report) => {
+                self.report(shared, socket, endpoint, report, datagram).await;
+                if report.state == UpdateState::Restarting {
+                    Timer::after(FAREWELL).await;
+                    (shared.restart)();
+                }
+                false
+            }
+        }
+    }
+
+    /// Tells the host how far a new program is. What is lost is asked for again.
+    async fn report<const BLOCKS: usize>(
+        &mut self,
+        shared: &Shared<'_, BLOCKS>,
+        socket: &UdpSocket<'_>,
+        endpoint: IpEndpoint,
+        report: UpdateReport,
+        datagram: &mut [u8; MAX_DATAGRAM],
+    ) {
+        let length = shared.link.borrow_mut().seal_update(&report, datagram);
+        if let Some(length) = length
+            && let Ok(Ok(())) = with_timeout(ROUND, socket.send_to(&datagram[..length], endpoint)).await
+        {
+            shared.duty.borrow_mut().sent(length);
+        }
+    }
+
     /// Where the host is, looked up when that is not known or when it was not heard for long. Without an answer it takes
     /// a moment, so that its caller does not spin.
-    async fn find<const RECORDS: usize>(
+    async fn find<const BLOCKS: usize>(
         &mut self,
-        shared: &Shared<RECORDS>,
+        shared: &Shared<'_, BLOCKS>,
         host: &mut Option<Host>,
     ) -> Option<IpEndpoint> {
         if !self.stack.is_config_up() {
@@ -269,6 +349,15 @@ impl<'a, R: Radio> Uplink<'a, R> {
         *host = Some(Host { endpoint, found: now, fixed: fixed.is_some() });
         Some(endpoint)
     }
+}
+
+/// What a board without a second slot says to an offer.
+fn no_slots(order: &UpdateOrder<'_>) -> UpdateReport {
+    let order = match order {
+        UpdateOrder::Offer(offer) => offer.order,
+        UpdateOrder::Chunk(chunk) => chunk.order,
+    };
+    UpdateReport { order, state: UpdateState::Refused(UpdateRefusal::NoSlots) }
 }
 
 /// A host that was found.

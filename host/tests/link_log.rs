@@ -3,13 +3,14 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::fs::{self, File};
+use std::fs;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use link_bench::{Bench, PATIENCE};
 use serde_json::Value;
 use thermokin::logger::registry::Registry;
 use thermokin::robot::Robot;
@@ -18,90 +19,7 @@ use thermokin_protocol::{
     Sensor, SensorKind, Settings, seal,
 };
 
-/// The longest that anything here may take on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(60);
-
-/// A test's folder, where commands run.
-struct Bench(tempfile::TempDir);
-
-impl Bench {
-    fn new() -> Self {
-        Self(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn thermokin(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_thermokin"));
-        command.current_dir(self.0.path()).args(arguments);
-        command
-    }
-
-    fn run(&self, arguments: &[&str]) -> Output {
-        let output = self.thermokin(arguments).output().expect("it runs");
-        assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-        output
-    }
-
-    fn json(&self, arguments: &[&str]) -> Value {
-        serde_json::from_slice(&self.run(&[arguments, &["--json", "-"]].concat()).stdout).expect("JSON")
-    }
-
-    /// Starts the logger on a port that was free a moment ago; its words go to `words.txt`.
-    fn logger(&self, arguments: &[&str]) -> Logger {
-        let port = UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).expect("a port").port();
-        let address = format!("127.0.0.1:{port}");
-        let words = File::create(self.path("words.txt")).expect("it is created");
-        let child = self
-            .thermokin(&["log", "--plain", "--registry", "boards.toml", "--listen", &address])
-            .args(arguments)
-            .stdout(Stdio::null())
-            .stderr(words)
-            .spawn()
-            .expect("the logger starts");
-        let logger = Logger { child, address, words: self.path("words.txt") };
-        logger.wait_for("listening on");
-        logger
-    }
-}
-
-/// A logger that runs.
-struct Logger {
-    child: Child,
-    address: String,
-    words: PathBuf,
-}
-
-impl Logger {
-    fn words(&self) -> String {
-        fs::read_to_string(&self.words).expect("it is read")
-    }
-
-    fn wait_for(&self, words: &str) {
-        let begin = Instant::now();
-        while !self.words().contains(words) {
-            assert!(begin.elapsed() < PATIENCE, "no {words:?} in\n{}", self.words());
-            sleep(Duration::from_millis(20));
-        }
-    }
-
-    /// Ends it as a user would, and gives its words.
-    fn stop(mut self) -> String {
-        let asked = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().expect("kill runs");
-        assert!(asked.success() && self.child.wait().expect("it ends").success(), "{}", self.words());
-        self.words()
-    }
-}
-
-impl Drop for Logger {
-    fn drop(&mut self) {
-        // A test that failed leaves no process behind.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
+mod link_bench;
 
 /// The fields of each line of a CSV file but the first.
 fn rows(text: &str) -> Vec<Vec<&str>> {
@@ -197,6 +115,49 @@ fn a_robots_sensors_by_name_with_a_scenarios_temperatures_at_their_times() {
         }
     }
     assert_eq!(exported["readings"], compared);
+}
+
+#[test]
+fn runs_and_marks_from_another_terminal() {
+    let bench = Bench::new();
+    let boards = ["board", "virtual", "--registry", "boards.toml", "--count", "1", "--seed", "6"];
+    bench.run(&[&boards[..], &["--duration", "0", "--drain", "0"]].concat());
+    let logger = bench.logger(&[]);
+    let mut child = bench
+        .thermokin(&boards)
+        .args(["--host", &logger.address, "--rate", "10", "--batch", "5", "--duration", "6", "--drain", "60"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the boards start");
+    bench.run(&["log", "run", "first"]);
+    sleep(Duration::from_secs(1));
+    bench.run(&["log", "mark", "cycle \"3\""]);
+    bench.run(&["log", "run", "--stop"]);
+    logger.wait_for("run first ends");
+    bench.run(&["log", "run", "second"]);
+    assert!(child.wait().expect("the boards end").success());
+    let words = logger.stop();
+    assert!(words.contains("mark: cycle \"3\""), "{words}");
+    let info = bench.json(&["log", "info"]);
+    let runs = info["runs"].as_array().expect("runs");
+    let names: Vec<_> = runs.iter().map(|run| run["name"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["first", "second"]);
+    let (start_s, stop_s) = (runs[0]["start_s"].as_f64().expect("a time"), runs[0]["stop_s"].as_f64().expect("a time"));
+    // The times are those at which the commands were given: the logger hears them within a few milliseconds, if it runs.
+    assert!(stop_s - start_s >= 0.95, "{info}");
+    // A run's table has what was read within it: its times begin with the run and end before it does.
+    let table = |run: &str| {
+        bench.run(&["log", "export", "--run", run, "--out", "table.csv"]);
+        let text = fs::read_to_string(bench.path("table.csv")).expect("it is written");
+        rows(&text).iter().map(|row| row[0].parse().expect("a time")).collect::<Vec<f64>>()
+    };
+    let (first, second) = (table("first"), table("second"));
+    assert!(!second.is_empty() && second.iter().all(|time_s| *time_s >= 0.0), "{second:?}");
+    assert!(first.iter().all(|time_s| (0.0..=stop_s - start_s).contains(time_s)), "{first:?}");
+    // Four sensors, ten times a second; what lies between the runs is in neither.
+    let all = bench.json(&["log", "export", "--out", "all.csv"])["exported"]["readings"].as_u64().expect("a number");
+    assert!(first.len() >= 4 && first.len() as u64 + (second.len() as u64) <= all, "{} {}", first.len(), second.len());
 }
 
 /// A datagram of another schema version under the right key: a message that this version cannot read, or a notice.

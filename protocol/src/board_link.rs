@@ -12,6 +12,7 @@ use crate::outbox::{Outbox, Pace};
 use crate::patience::Patience;
 use crate::replay::ReplayGuard;
 use crate::seal::{self, MAX_MESSAGE, Refused};
+use crate::update::{UpdateOrder, UpdateReport};
 use crate::{Key, MAX_BATCH, MAX_DATAGRAM, MAX_SENSORS, SCHEMA_VERSION};
 
 /// The most bytes of a report, its records aside; a test holds this against the largest report.
@@ -35,23 +36,30 @@ pub struct BoardCounters {
     pub bus_recoveries: u32,
 }
 
-/// What an answer changed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What a datagram of the host's brought.
+#[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Heard {
+pub struct Heard<'a> {
     /// How many records it freed: they are durable on the host.
     pub released: usize,
     /// Whether [`BoardLink::settings`] changed.
     pub settings_changed: bool,
+    /// What it says of a new program, which is the caller's affair; the report goes out by [`BoardLink::seal_update`].
+    pub update: Option<UpdateOrder<'a>>,
 }
 
-/// A board's link to its host, with a store of `RECORDS` unacknowledged records.
+/// A board's link to its host, with a store of `RECORDS` unacknowledged records, and more in `BLOCKS` of an archive.
 ///
 /// The firmware calls [`BoardLink::record`] when it has sampled, [`BoardLink::poll`] until it gives nothing whenever
 /// [`BoardLink::next_poll_us`] has come (or the radio is up), and [`BoardLink::receive`] with each datagram that came.
 /// All times are the board's own microsecond clock. The link owns its store, or borrows one that lies in a static.
 #[derive(Debug)]
-pub struct BoardLink<const RECORDS: usize, const SENSORS: usize = MAX_SENSORS, O = Outbox<RECORDS, SENSORS>> {
+pub struct BoardLink<
+    const RECORDS: usize,
+    const SENSORS: usize = MAX_SENSORS,
+    const BLOCKS: usize = 0,
+    O = Outbox<RECORDS, SENSORS, BLOCKS>,
+> {
     key: Key,
     board: u32,
     boot: u32,
@@ -75,7 +83,7 @@ pub struct BoardLink<const RECORDS: usize, const SENSORS: usize = MAX_SENSORS, O
     counters: BoardCounters,
 }
 
-impl<const RECORDS: usize, const SENSORS: usize> BoardLink<RECORDS, SENSORS> {
+impl<const RECORDS: usize, const SENSORS: usize, const BLOCKS: usize> BoardLink<RECORDS, SENSORS, BLOCKS> {
     /// The link of a boot, with an empty store.
     ///
     /// `boot` must be greater than at any start before under this key (see the crate's documentation); `sensors` beyond
@@ -93,9 +101,9 @@ impl<const RECORDS: usize, const SENSORS: usize> BoardLink<RECORDS, SENSORS> {
     }
 }
 
-impl<const RECORDS: usize, const SENSORS: usize, O> BoardLink<RECORDS, SENSORS, O>
+impl<const RECORDS: usize, const SENSORS: usize, const BLOCKS: usize, O> BoardLink<RECORDS, SENSORS, BLOCKS, O>
 where
-    O: BorrowMut<Outbox<RECORDS, SENSORS>>,
+    O: BorrowMut<Outbox<RECORDS, SENSORS, BLOCKS>>,
 {
     /// The link of a boot that has a store already: one that it found retained and whole, or one that began with it.
     #[expect(clippy::too_many_arguments, reason = "what a boot knows; a struct of the same fields would be no clearer")]
@@ -114,7 +122,10 @@ where
             key,
             board,
             boot,
-            identity: Identity { capacity: u32::try_from(RECORDS).unwrap_or(u32::MAX), ..identity },
+            identity: Identity {
+                capacity: u32::try_from(Outbox::<RECORDS, SENSORS, BLOCKS>::capacity()).unwrap_or(u32::MAX),
+                ..identity
+            },
             sensors: sensors.iter().copied().take(MAX_SENSORS).collect(),
             settings,
             outbox,
@@ -141,7 +152,7 @@ where
     }
 
     /// The store.
-    pub fn outbox(&self) -> &Outbox<RECORDS, SENSORS> {
+    pub fn outbox(&self) -> &Outbox<RECORDS, SENSORS, BLOCKS> {
         self.outbox.borrow()
     }
 
@@ -228,15 +239,7 @@ where
             batch,
         };
         let length = postcard::to_slice(&BoardMessage::Report(report), &mut buffer[HEADER_LENGTH..]).ok()?.len();
-        let header = Header {
-            version: SCHEMA_VERSION,
-            direction: Direction::ToHost,
-            kind: Kind::Message,
-            board: self.board,
-            epoch: self.boot,
-            counter: self.counter,
-        };
-        self.counter += 1;
+        let header = self.next_header(Kind::Message);
         Some(seal::seal(&self.key, &header, buffer, length))
     }
 
@@ -265,7 +268,7 @@ where
     /// # Errors
     ///
     /// The reason why it was dropped; it is counted and must not be answered.
-    pub fn receive(&mut self, now_us: u64, datagram: &mut [u8]) -> Result<Heard, Refused> {
+    pub fn receive<'a>(&mut self, now_us: u64, datagram: &'a mut [u8]) -> Result<Heard<'a>, Refused> {
         let outcome = self.take(now_us, datagram);
         if outcome.is_err() {
             self.refused = self.refused.saturating_add(1);
@@ -273,12 +276,40 @@ where
         outcome
     }
 
-    fn take(&mut self, now_us: u64, datagram: &mut [u8]) -> Result<Heard, Refused> {
+    /// The datagram that says how far a board is with a new program, as the number of its bytes in `buffer`.
+    pub fn seal_update(&mut self, report: &UpdateReport, buffer: &mut [u8; MAX_DATAGRAM]) -> Option<usize> {
+        let length = postcard::to_slice(report, &mut buffer[HEADER_LENGTH..]).ok()?.len();
+        let header = self.next_header(Kind::Update);
+        Some(seal::seal(&self.key, &header, buffer, length))
+    }
+
+    fn next_header(&mut self, kind: Kind) -> Header {
+        let counter = self.counter;
+        self.counter += 1;
+        Header {
+            version: SCHEMA_VERSION,
+            direction: Direction::ToHost,
+            kind,
+            board: self.board,
+            epoch: self.boot,
+            counter,
+        }
+    }
+
+    fn take<'a>(&mut self, now_us: u64, datagram: &'a mut [u8]) -> Result<Heard<'a>, Refused> {
         let (header, message) = seal::open(&self.key, self.board, Direction::ToBoard, datagram)?;
         self.guard.admit(&header)?;
         if header.version != SCHEMA_VERSION {
             self.host_version = Some(header.version);
             return Err(Refused::Version { theirs: header.version });
+        }
+        if header.kind == Kind::Update {
+            let order = UpdateOrder::parse(message)?;
+            if order.boot() != self.boot {
+                return Err(Refused::OtherBoot);
+            }
+            self.heard_us = Some(now_us);
+            return Ok(Heard { released: 0, settings_changed: false, update: Some(order) });
         }
         if header.kind != Kind::Message {
             return Err(Refused::Malformed);
@@ -305,7 +336,7 @@ where
         let patience = &mut self.patience;
         self.outbox.borrow().latencies(&answer.acknowledgement, now_us, |latency_us| patience.hear(latency_us));
         let released = self.outbox.borrow_mut().acknowledge(&answer.acknowledgement);
-        Ok(Heard { released, settings_changed })
+        Ok(Heard { released, settings_changed, update: None })
     }
 
     fn is_alone(&self, now_us: u64) -> bool {

@@ -35,6 +35,7 @@ mod tag {
     pub const PLACE: u8 = 7;
     pub const SSID: u8 = 8;
     pub const PASSWORD: u8 = 9;
+    pub const UPDATE_KEY: u8 = 10;
 }
 
 /// What one board must know: who it is, its key, its sensors, and how to reach its host.
@@ -56,6 +57,8 @@ pub struct Configuration {
     pub place: String<63>,
     /// The network to join; none on a board that has no radio.
     pub wifi: Option<Wifi>,
+    /// The Ed25519 public key that new programs over the air are signed with; none on a board that takes none.
+    pub update_key: Option<[u8; 32]>,
 }
 
 /// The credentials of a wireless network. The `Debug` form does not show the password.
@@ -112,6 +115,9 @@ impl Configuration {
             append_field(&mut page, tag::SSID, wifi.ssid.as_bytes());
             append_field(&mut page, tag::PASSWORD, wifi.password.as_bytes());
         }
+        if let Some(key) = &self.update_key {
+            append_field(&mut page, tag::UPDATE_KEY, key);
+        }
         let (head, body) = page.split_at_mut(HEAD);
         let length = u16::try_from(body.len()).expect("a page is shorter than 2^16 bytes");
         head[..4].copy_from_slice(&MAGIC);
@@ -161,6 +167,9 @@ impl Configuration {
             sensors: field(tag::SENSORS).and_then(sensors).ok_or(BadPage::Field(tag::SENSORS))?,
             place: field(tag::PLACE).and_then(text).ok_or(BadPage::Field(tag::PLACE))?,
             wifi,
+            update_key: field(tag::UPDATE_KEY)
+                .map(|bytes| bytes.try_into().map_err(|_| BadPage::Field(tag::UPDATE_KEY)))
+                .transpose()?,
         })
     }
 }

@@ -38,6 +38,8 @@ pub enum Kind {
     Message = 0,
     /// Nothing: the sender only says which schema version it speaks, because it could not read a message.
     Version = 1,
+    /// A message about a new program: see [`crate::update`].
+    Update = 2,
 }
 
 /// The header of a datagram; the sealed part follows, then the 16 bytes of its tag.
@@ -72,6 +74,7 @@ impl Header {
         let kind = match kind & !FROM_HOST {
             0 => Kind::Message,
             1 => Kind::Version,
+            2 => Kind::Update,
             _ => return Err(Refused::Foreign),
         };
         let counter = u64::from_le_bytes(counter);

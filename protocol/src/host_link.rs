@@ -5,6 +5,7 @@ use crate::inbox::Inbox;
 use crate::message::{Answer, BoardMessage, HostMessage, Report, Settings};
 use crate::replay::ReplayGuard;
 use crate::seal::{self, Refused};
+use crate::update::{CHUNK, UpdateOrder, UpdateReport};
 use crate::{Key, MAX_DATAGRAM, SCHEMA_VERSION};
 
 /// An authentic, fresh report.
@@ -68,6 +69,34 @@ impl<const SEGMENTS: usize> HostLink<SEGMENTS> {
         Ok(Received { boot: header.epoch, counter: header.counter, booted, report })
     }
 
+    /// Opens a datagram of [`Kind::Update`] in place, and refuses what is not authentic, fresh and well formed.
+    ///
+    /// # Errors
+    ///
+    /// The reason why it was dropped.
+    pub fn open_update(&mut self, datagram: &mut [u8]) -> Result<UpdateReport, Refused> {
+        let (header, message) = seal::open(&self.key, self.board, Direction::ToHost, datagram)?;
+        self.guard.admit(&header)?;
+        if header.version != SCHEMA_VERSION {
+            return Err(Refused::Version { theirs: header.version });
+        }
+        match postcard::take_from_bytes(message) {
+            Ok((report, [])) if header.kind == Kind::Update => Ok(report),
+            Ok(_) | Err(_) => Err(Refused::Malformed),
+        }
+    }
+
+    /// The datagram that tells the board of a new program, as the number of its bytes in `buffer`; none before the
+    /// board was heard, or if a chunk is longer than [`CHUNK`](crate::update::CHUNK).
+    pub fn update(&mut self, order: &UpdateOrder<'_>, buffer: &mut [u8; MAX_DATAGRAM]) -> Option<usize> {
+        if self.guard.epoch() == 0 || matches!(order, UpdateOrder::Chunk(chunk) if chunk.bytes.len() > CHUNK) {
+            return None;
+        }
+        let length = postcard::to_slice(order, &mut buffer[HEADER_LENGTH..]).ok()?.len();
+        let header = self.next_header(Kind::Update);
+        Some(seal::seal(&self.key, &header, buffer, length))
+    }
+
     /// Which datagrams were heard.
     pub fn guard(&self) -> &ReplayGuard {
         &self.guard
@@ -96,23 +125,23 @@ impl<const SEGMENTS: usize> HostLink<SEGMENTS> {
             settings: *settings,
         };
         let length = postcard::to_slice(&HostMessage::Answer(answer), &mut buffer[HEADER_LENGTH..]).ok()?.len();
-        let header = self.next_header();
+        let header = self.next_header(Kind::Message);
         Some(seal::seal(&self.key, &header, buffer, length))
     }
 
     /// A datagram that says which schema version this host speaks, for a board that speaks another.
     pub fn version_notice(&mut self, buffer: &mut [u8; MAX_DATAGRAM]) -> usize {
-        let header = self.next_header();
+        let header = self.next_header(Kind::Version);
         seal::seal_version(&self.key, &header, buffer)
     }
 
-    fn next_header(&mut self) -> Header {
+    fn next_header(&mut self, kind: Kind) -> Header {
         let counter = self.counter;
         self.counter += 1;
         Header {
             version: SCHEMA_VERSION,
             direction: Direction::ToBoard,
-            kind: Kind::Message,
+            kind,
             board: self.board,
             epoch: self.epoch,
             counter,

@@ -55,6 +55,11 @@
 //! report with the time of that report's sending (t3); the host notes when that came (t4). Nothing else is needed on the
 //! board. How the host turns exchanges into a mapping of clocks is the host's affair.
 //!
+//! # New programs
+//!
+//! Programs go over the air in messages of their own ([`update`]), which change nothing of the above: what is not
+//! acknowledged when a board restarts into a new program is lost or kept as with any other restart.
+//!
 //! # Changing the schema
 //!
 //! Header and sealing never change. Enums are append-only and their discriminants are pinned by golden byte vectors;
@@ -62,9 +67,13 @@
 //! naming both numbers ([`Refused::Version`]), and exchange nothing else.
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
 #[cfg(feature = "defmt")]
 use defmt as _;
 
+mod archive;
 mod board_link;
 mod configuration;
 #[cfg(test)]
@@ -79,6 +88,7 @@ mod patience;
 mod replay;
 pub mod seal;
 mod sequence_set;
+pub mod update;
 
 pub use board_link::{BoardCounters, BoardLink, Heard};
 pub use configuration::{BadPage, Configuration, MAX_PAGE, Wifi};

@@ -13,9 +13,9 @@ fn configuration() -> impl Strategy<Value = Configuration> {
         (any::<u32>(), any::<[u8; 32]>(), any::<u32>(), any::<u16>()),
         ("[a-z0-9.]{1,63}", "[ -~]{0,63}"),
         proptest::collection::vec(sensor, 0..=MAX_SENSORS),
-        proptest::option::of(wifi),
+        (proptest::option::of(wifi), proptest::option::of(any::<[u8; 32]>())),
     )
-        .prop_map(|((board, key, first_boot, port), (host, place), sensors, wifi)| Configuration {
+        .prop_map(|((board, key, first_boot, port), (host, place), sensors, (wifi, update_key))| Configuration {
             board,
             key: Key::from_bytes(key),
             first_boot,
@@ -24,6 +24,7 @@ fn configuration() -> impl Strategy<Value = Configuration> {
             sensors: sensors.into_iter().collect(),
             place: fixed(&place),
             wifi,
+            update_key,
         })
 }
 
@@ -73,6 +74,7 @@ fn the_bytes_of_a_page_stay() {
         sensors: Vec::from_slice(&[Sensor { address: 0x48, kind: SensorKind::Max30205 }]).unwrap(),
         place: fixed("link 3"),
         wifi: Some(Wifi { ssid: fixed("cell"), password: fixed("secret") }),
+        update_key: None,
     };
     let mut expected = b"TKCP\x01\x00\x56\x00".to_vec();
     expected.extend(0xC7B6_9EE4_u32.to_le_bytes());
@@ -96,6 +98,7 @@ fn fields_that_are_not_known_yet_are_skipped() {
         sensors: Vec::new(),
         place: fixed(""),
         wifi: None,
+        update_key: None,
     };
     let mut page = configuration.to_page().to_vec();
     page.extend([200, 3, 1, 2, 3]);

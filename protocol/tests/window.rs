@@ -6,12 +6,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use proptest::prelude::*;
 use thermokin_protocol::{
-    Arrival, BoardLink, Firmware, HostLink, Identity, Inbox, Key, MAX_DATAGRAM, Outbox, Reading, Refused, ReplayGuard,
-    ResetReason, Segment, Sensor, SensorKind, Settings,
+    Arrival, BoardLink, Firmware, HostLink, Identity, Inbox, Key, MAX_DATAGRAM, MAX_SENSORS, Outbox, Reading, Refused,
+    ReplayGuard, ResetReason, Segment, Sensor, SensorKind, Settings,
 };
 
-/// A store this small is full at once when the host is away.
+/// Stores this small are full at once when the host is away: one that holds everything in full, and one with an archive.
 const RECORDS: usize = 48;
+const WITH_ARCHIVE: (usize, usize) = (34, 2);
 const SEGMENTS: usize = 4;
 const STEP_US: u64 = 50_000;
 const FIRST_BOOT: u32 = 10;
@@ -61,12 +62,12 @@ struct Disk {
     inbox: Option<(u32, u32, u64, Vec<Segment>)>,
 }
 
-struct World {
+struct World<const RECORDS: usize, const BLOCKS: usize> {
     random: Random,
     faults: Faults,
     now_us: u64,
     key: Key,
-    board: BoardLink<RECORDS>,
+    board: BoardLink<RECORDS, MAX_SENSORS, BLOCKS>,
     boot: u32,
     booted_us: u64,
     host: HostLink<SEGMENTS>,
@@ -90,7 +91,7 @@ fn identity() -> Identity {
 
 const SENSORS: [Sensor; 1] = [Sensor { address: 0x48, kind: SensorKind::Max30205 }];
 
-impl World {
+impl<const RECORDS: usize, const BLOCKS: usize> World<RECORDS, BLOCKS> {
     fn new(seed: u64, faults: Faults) -> Self {
         let key = Key::from_bytes([7; 32]);
         let settings = Settings { sampling_period_ms: 100, batch_length: 3, ..Settings::default() };
@@ -337,18 +338,24 @@ proptest! {
         let faults = Faults {
             loss, duplicate, corrupt, delay_steps, host_crash, sync_failure, board_reboot, retain, host_away,
         };
-        let mut world = World::new(seed, faults);
-        for step in 0..600 {
-            world.step(step, true);
-        }
-        // Then the network heals, and within the board's longest wait times its backlog all is said.
-        world.faults = Faults { loss: 0, duplicate: 0, corrupt: 0, delay_steps: 0, ..faults };
-        let mut step = 600;
-        while (step < 1500 || !world.board.outbox().is_empty()) && step < 6000 {
-            world.step(step, false);
-            step += 1;
-        }
-        prop_assert!(world.board.outbox().is_empty(), "the board keeps records for ever");
-        world.judge();
+        play::<RECORDS, 0>(seed, faults);
+        play::<{ WITH_ARCHIVE.0 }, { WITH_ARCHIVE.1 }>(seed, faults);
     }
+}
+
+/// One case.
+fn play<const RECORDS: usize, const BLOCKS: usize>(seed: u64, faults: Faults) {
+    let mut world = World::<RECORDS, BLOCKS>::new(seed, faults);
+    for step in 0..600 {
+        world.step(step, true);
+    }
+    // Then the network heals, and within the board's longest wait times its backlog all is said.
+    world.faults = Faults { loss: 0, duplicate: 0, corrupt: 0, delay_steps: 0, ..faults };
+    let mut step = 600;
+    while (step < 1500 || !world.board.outbox().is_empty()) && step < 6000 {
+        world.step(step, false);
+        step += 1;
+    }
+    assert!(world.board.outbox().is_empty(), "the board keeps records for ever");
+    world.judge();
 }

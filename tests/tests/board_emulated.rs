@@ -15,6 +15,9 @@ const PERIOD_MS: u32 = 500;
 /// A pause between two readings that no busy machine explains: the emulator keeps its grid, but may be scheduled late.
 const HOLE_S: f64 = 2.0;
 
+/// Readings later than this lie nearer to another point of the grid; on a machine at load 9 they are late by 19 ms.
+const MOST_LATENESS_S: f64 = PERIOD_MS as f64 * 1e-3 / 2.0;
+
 /// Counts without repetitions, in order: what a sensor was seen to go through.
 fn steps(readings: &[(f64, i32)]) -> Vec<i32> {
     let mut counts: Vec<_> = readings.iter().map(|&(_, counts)| counts).collect();
@@ -25,6 +28,18 @@ fn steps(readings: &[(f64, i32)]) -> Vec<i32> {
 /// The longest time between two readings of a sensor.
 fn longest_pause(readings: &[(f64, i32)]) -> f64 {
     readings.windows(2).map(|pair| pair[1].0 - pair[0].0).fold(0.0, f64::max)
+}
+
+/// How much later than the earliest, against the grid, the latest reading of a sensor was taken.
+fn worst_lateness(readings: &[(f64, i32)]) -> f64 {
+    let period = f64::from(PERIOD_MS) * 1e-3;
+    // From the first one's place in the grid, between half a period before and after.
+    let place = |time: f64| {
+        let periods = (time - readings[0].0) / period;
+        (periods - periods.round()) * period
+    };
+    let places = || readings.iter().map(|&(time, _)| place(time));
+    places().fold(f64::MIN, f64::max) - places().fold(f64::MAX, f64::min)
 }
 
 /// Whether the newest reading of each sensor of a board is this one.
@@ -49,6 +64,7 @@ fn what_is_set_is_stored_to_the_count() {
         }
         workshop.wait_until(&format!("{counts:?} on disk"), |readings| shows(readings, 0, counts));
     }
+    workshop.wait_for_readings(0, 30);
     logger.stop();
     let readings = workshop.readings(Some("bench"));
     for (sensor, name) in sensor_names(0).iter().enumerate() {
@@ -61,6 +77,9 @@ fn what_is_set_is_stored_to_the_count() {
         }
         assert_eq!(seen, expected, "{name}");
         assert!(longest_pause(&readings[name]) < HOLE_S, "{name} has a hole");
+        let lateness = worst_lateness(&readings[name]);
+        println!("{name}: {} readings, the latest {:.1} ms late", readings[name].len(), lateness * 1e3);
+        assert!(lateness < MOST_LATENESS_S, "{name}: {lateness} s late");
     }
     assert_eq!(workshop.records_lost(), 0);
     let (well, words) = workshop.doctor();

@@ -93,6 +93,77 @@ fn espflash_is_given_the_configuration_and_then_the_image() {
 }
 
 #[test]
+fn the_key_for_programs_is_made_once_and_goes_to_every_board() {
+    let workshop = Workshop::new("config_update_key", 2, 1000, 1, "live");
+    let keys: Vec<_> = (0..2)
+        .map(|board| {
+            let page = workshop.file(&format!("board{board}.page"));
+            let arguments =
+                page_arguments(&workshop).into_iter().map(|text| text.replace("board=0", &format!("board={board}")));
+            let output =
+                thermokin().args(["board", "config"]).args(arguments).arg("--out").arg(&page).output().unwrap();
+            assert!(output.status.success(), "{output:?}");
+            Configuration::from_page(&fs::read(&page).unwrap()).unwrap().update_key.unwrap()
+        })
+        .collect();
+    assert_eq!(keys[0], keys[1]);
+    let secret = workshop.file("update.key");
+    assert_eq!(fs::metadata(&secret).unwrap().permissions().mode() & 0o777, 0o600);
+    let public: String = keys[0].iter().map(|byte| format!("{byte:02x}")).collect();
+    assert!(!fs::read_to_string(secret).unwrap().contains(&public), "boards are given the secret half");
+}
+
+#[test]
+fn a_program_is_made_an_image_by_espflash_and_handed_to_the_logger_signed() {
+    let workshop = Workshop::new("update_handed_over", 1, 1000, 1, "live");
+    // An image of an ESP32-C3, as far as it says what it is; espflash is asked for it since the program is an ELF file.
+    let mut image = vec![0; 4096];
+    image[0] = 0xE9;
+    image[12] = 5;
+    image[32..36].copy_from_slice(&0xABCD_5432_u32.to_le_bytes());
+    image[48..53].copy_from_slice(b"0.3.1");
+    let (elf, made, said) = (workshop.file("program.elf"), workshop.file("made.bin"), workshop.file("espflash.txt"));
+    fs::write(&elf, b"\x7FELF and so on").unwrap();
+    fs::write(&made, &image).unwrap();
+    let espflash = workshop.file("espflash");
+    let script = format!(
+        "#!/bin/sh\necho \"$@\" >> {}\nfor last; do :; done\ncp {} \"$last\"\n",
+        said.display(),
+        made.display()
+    );
+    fs::write(&espflash, script).unwrap();
+    fs::set_permissions(&espflash, PermissionsExt::from_mode(0o755)).unwrap();
+    fs::create_dir_all(workshop.store()).unwrap();
+    let update = || {
+        let mut command = thermokin();
+        command
+            .args(["board", "update", "--board=0", "--no-wait", "--image"])
+            .arg(&elf)
+            .arg("--espflash")
+            .arg(&espflash);
+        command.arg("--store").arg(workshop.store()).arg("--registry").arg(workshop.registry());
+        command.output().unwrap()
+    };
+    let output = update();
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(1) && words.contains("no logger is running on this store"), "{words}");
+    // In the logger's place.
+    let logger = std::os::unix::net::UnixDatagram::bind(workshop.store().join("control.sock")).unwrap();
+    let output = update();
+    assert!(output.status.success(), "{output:?}");
+    assert!(String::from_utf8(output.stdout).unwrap().contains("version 0.3.1 is offered to 1 boards"));
+    let mut wish = [0; 512];
+    let length = logger.recv(&mut wish).unwrap();
+    let wish = std::str::from_utf8(&wish[..length]).unwrap();
+    let fields: Vec<_> = wish.splitn(5, ' ').collect();
+    assert_eq!((fields[0], fields[1], fields[3]), ("update", "0", "300"), "{wish}");
+    let program = fs::read(fields[4]).unwrap();
+    assert!(program.starts_with(b"TKPG") && program.ends_with(&image), "{wish}");
+    let said = fs::read_to_string(&said).unwrap();
+    assert!(said.starts_with("save-image --chip esp32c3 --flash-size 4mb "), "{said}");
+}
+
+#[test]
 fn without_espflash_it_says_how_to_install_it() {
     let workshop = Workshop::new("flash_without", 1, 1000, 1, "live");
     let image = workshop.file("image");

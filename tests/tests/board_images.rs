@@ -4,6 +4,11 @@ use std::fs;
 use std::ops::Range;
 use std::path::Path;
 
+use espflash::flasher::{FlashData, FlashSettings, FlashSize};
+use espflash::image_format::idf::IdfBootloaderFormat;
+use espflash::target::{Chip, XtalFrequency};
+use sha2::{Digest, Sha256};
+
 const REPOSITORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
 /// The ESP32-C3's memories as a program sees them (technical reference manual, "System and memory", table 3-1).
@@ -17,7 +22,7 @@ const C3_MOST_STATIC_RAM: u32 = 300 * 1024;
 /// What is left for the stack of the main task; the radio's tasks have theirs from the heap.
 const C3_LEAST_STACK: u32 = 32 * 1024;
 /// Bounds on the emulated board's image.
-const EMULATED_MOST_FLASH: u32 = 96 * 1024;
+const EMULATED_MOST_FLASH: u32 = 128 * 1024;
 const EMULATED_LEAST_STACK: u32 = 24 * 1024;
 
 /// A section of an ELF file that takes memory.
@@ -177,9 +182,75 @@ fn the_program_looks_where_the_partition_table_says() {
     let partition = |name: &str| partitions.iter().find(|(found, _)| found == name).unwrap().1.clone();
     assert_eq!(constant("CONFIGURATION"), partition("thermokin").start);
     assert_eq!(constant("BOOTS")..constant("BOOTS") + 2 * 0x1000, partition("boots"));
+    assert_eq!(constant("UPDATES")..constant("UPDATES") + 2 * 0x1000, partition("updates"));
+    assert_eq!(constant("OTADATA")..constant("OTADATA") + 2 * 0x1000, partition("otadata"));
+    for (slot, name) in [("OTA_0", "ota_0"), ("OTA_1", "ota_1")] {
+        assert_eq!(constant(slot)..constant(slot) + constant("SLOT_LENGTH"), partition(name));
+    }
     for (earlier, later) in partitions.iter().zip(&partitions[1..]) {
         assert!(earlier.1.end <= later.1.start, "{} overlaps {}", earlier.0, later.0);
     }
     assert!(partitions.last().unwrap().1.end <= 4 << 20, "beyond 4 MiB of flash");
     assert!(C3_MOST_FLASH <= partition("ota_0").len() as u32);
+}
+
+/// The image that `espflash save-image` writes of the ESP32-C3's program, laid out by the board's table: by the same
+/// library, in this process.
+fn saved_image() -> Vec<u8> {
+    let elf = fs::read(Path::new(REPOSITORY).join("firmware/target/riscv32imc-unknown-none-elf/release/esp32c3"));
+    let elf = elf.unwrap_or_else(|error| panic!("esp32c3: {error}: bash firmware/ci build"));
+    let settings = FlashSettings::new(None, Some(FlashSize::_4Mb), None);
+    let data = FlashData::new(settings, 0, None, Chip::Esp32c3, XtalFrequency::_40Mhz);
+    let table = Path::new(REPOSITORY).join("firmware/boards/esp32c3/partitions.csv");
+    let format = IdfBootloaderFormat::new(&elf, &data, Some(&table), None, None, Some("ota_0"));
+    let format = format.unwrap_or_else(|error| panic!("espflash refuses the image: {error}"));
+    let segments: Vec<_> = format.ota_segments().collect();
+    let [program] = &segments[..] else { panic!("{} parts of flash", segments.len()) };
+    assert_eq!(program.addr, 0x1_0000, "the first slot");
+    program.data.to_vec()
+}
+
+#[test]
+fn the_saved_image_is_what_the_bootloader_takes_and_fits_its_slot() {
+    let image = saved_image();
+    let word = |at: usize| u32::from_le_bytes([image[at], image[at + 1], image[at + 2], image[at + 3]]);
+    let half = |at: usize| u16::from_le_bytes([image[at], image[at + 1]]);
+    // The header (ESP-IDF, "App image format"): magic, segments, and the chip's number, which is 5.
+    let (magic, segments, entry) = (image[0], image[1], word(4));
+    assert_eq!((magic, half(12)), (0xE9, 5));
+    assert!(C3_RAM.iter().chain(&C3_FLASH).any(|memory| memory.contains(&entry)), "it begins at {entry:#x}");
+    let (mut at, mut check, mut mapped) = (24, 0xEF_u8, 0);
+    for _ in 0..segments {
+        let (address, length) = (word(at), word(at + 4) as usize);
+        at += 8;
+        // What fills up to a mapped segment's page is loaded nowhere: address 0.
+        if address == 0 {
+            assert!(image[at..at + length].iter().all(|&byte| byte == 0), "padding at {at:#x}");
+        }
+        let section = Section { name: format!("segment at {at:#x}"), address, size: length as u32, filled: true };
+        assert!(address == 0 || section.lies_in(&[&C3_FLASH[..], &C3_RAM[..]].concat()), "{section:?}");
+        if C3_FLASH.iter().any(|flash| flash.contains(&address)) {
+            // The bootloader maps whole pages of 64 KiB: a mapped segment has the same place in its page in both.
+            assert_eq!(at % 0x1_0000, address as usize % 0x1_0000, "{section:?}");
+            mapped += 1;
+        }
+        check = image[at..at + length].iter().fold(check, |check, byte| check ^ byte);
+        at += length;
+    }
+    assert!(mapped == 2, "{mapped} segments of flash, expected constants and code");
+    // The check is the last byte of the next 16, and the SHA-256 of all before follows.
+    let end = at / 16 * 16 + 16;
+    assert_eq!(image[end - 1], check);
+    assert_eq!(image[23], 1, "a digest is appended");
+    assert_eq!(image[end..end + 32], Sha256::digest(&image[..end])[..]);
+    // Nothing that counts follows.
+    assert!(image[end + 32..].iter().all(|&byte| byte == 0xFF));
+    // The program's descriptor, where the bootloader and `thermokin board update` look for it.
+    assert_eq!(word(32), 0xABCD_5432);
+    let text = |range: Range<usize>| String::from_utf8(image[range].split(|&byte| byte == 0).next().unwrap().to_vec());
+    assert_eq!(text(48..80).unwrap(), "0.1.0");
+    assert_eq!(text(80..112).unwrap(), "thermokin-board-esp32c3");
+    const SLOT: usize = 0x1F_0000;
+    println!("esp32c3: an image of {} bytes, {}% of its slot", image.len(), image.len() * 100 / SLOT);
+    assert!(image.len() <= SLOT);
 }

@@ -1,6 +1,8 @@
 //! What the library's tests run on: simulated time, and a simulated bus with thermometers whose faults are on request.
 #![allow(dead_code, reason = "each test binary uses its part")]
 
+pub mod flash;
+
 use std::cell::{RefCell, RefMut};
 use std::collections::BTreeMap;
 use std::future::{Future, pending};

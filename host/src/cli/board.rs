@@ -2,9 +2,13 @@
 
 mod config;
 mod flash;
+mod list;
+mod update;
 
+use std::io;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::process::Command as Program;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use clap::{Args, Subcommand};
@@ -34,9 +38,9 @@ enum Command {
     /// Make a board's key and its place in the registry, and write what the board needs
     #[command(after_help = "Example:\n  thermokin board add --robot robot.toml --board 0 --out board0.toml")]
     Add(AddArguments),
-    /// The boards of the registry, without their keys
-    #[command(after_help = "Example:\n  thermokin board list")]
-    List(ListArguments),
+    /// The boards of the registry, without their keys, and which of them are heard
+    #[command(after_help = "Example:\n  thermokin board list --store thermokin-log")]
+    List(list::Arguments),
     /// Write the page that a board reads its key, sensors, host and network from
     #[command(after_help = "Example:\n  thermokin board config --board 0 --host logger.local --ssid cell \
         --password-file wifi.txt --out board0.page")]
@@ -45,6 +49,9 @@ enum Command {
     #[command(after_help = "Example:\n  thermokin board flash --port /dev/ttyACM0 --board 0 --host logger.local \
         --ssid cell --password-file wifi.txt")]
     Flash(flash::Arguments),
+    /// Give boards that are already glued on a new program, over the air
+    #[command(after_help = "Example:\n  thermokin board update --board 0,1 --store thermokin-log")]
+    Update(update::Arguments),
     /// Simulate boards on this machine that speak the same protocol
     #[command(after_help = "Examples:\n  thermokin board virtual --robot robot.toml --duration 60\n  \
         thermokin board virtual --count 5 --loss 0.3 --reorder 0.1 --duplicate 0.1 --reboot 60 --truth truth.csv")]
@@ -74,15 +81,6 @@ struct AddArguments {
     /// The registry of boards [default: thermokin/boards.toml in the user's configuration]
     #[arg(long, value_name = "FILE")]
     registry: Option<PathBuf>,
-}
-
-#[derive(Debug, Args)]
-struct ListArguments {
-    /// The registry of boards [default: thermokin/boards.toml in the user's configuration]
-    #[arg(long, value_name = "FILE")]
-    registry: Option<PathBuf>,
-    #[command(flatten)]
-    json: JsonOption,
 }
 
 #[derive(Debug, Args)]
@@ -178,9 +176,10 @@ fn address(text: &str) -> Result<u8, String> {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         Command::Add(arguments) => add(arguments),
-        Command::List(arguments) => list(arguments),
+        Command::List(arguments) => list::run(arguments),
         Command::Config(arguments) => config::run(arguments),
         Command::Flash(arguments) => flash::run(arguments),
+        Command::Update(arguments) => update::run(arguments),
         Command::Virtual(arguments) => simulate_boards(arguments),
     }
 }
@@ -192,6 +191,19 @@ fn registry_or_new(path: &Path) -> Result<Registry, InputError> {
 
 fn path_or_default(path: Option<&PathBuf>) -> PathBuf {
     path.cloned().unwrap_or_else(Registry::default_path)
+}
+
+/// Runs another program to its end.
+fn execute(command: &mut Program) -> Result<(), Failure> {
+    let program = command.get_program().to_string_lossy().into_owned();
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(Failure::Work(format!("{program} failed ({status})"))),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            Err(Failure::Work(format!("{program} is not installed: cargo install espflash --locked")))
+        }
+        Err(error) => Err(Failure::Work(format!("{program}: {error}"))),
+    }
 }
 
 fn now_s() -> u32 {
@@ -265,22 +277,6 @@ fn place_of(robot: &Robot, board: u32) -> (Option<u32>, Vec<u8>) {
     let on_board = || robot.sensors.iter().filter(|sensor| sensor.board == Some(board));
     let link = on_board().map(|sensor| sensor.link as u32).next();
     (link, on_board().filter_map(|sensor| sensor.address).collect())
-}
-
-fn list(arguments: &ListArguments) -> Result<(), Failure> {
-    let registry = Registry::read(&path_or_default(arguments.registry.as_ref()))?;
-    if arguments.json.leaves_words() {
-        for board in &registry.boards {
-            let sensors: Vec<String> = board.sensors.iter().map(|address| format!("0x{address:02X}")).collect();
-            println!("board {}: {}, link {}, sensors {}", board.board, board.robot, board.link, sensors.join(" "));
-        }
-    }
-    arguments.json.write(&json!({
-        "format": 1, "command": "board list",
-        "boards": registry.boards.iter().map(|board| json!({
-            "board": board.board, "robot": board.robot, "link": board.link, "sensors": board.sensors,
-        })).collect::<Vec<_>>(),
-    }))
 }
 
 fn simulate_boards(arguments: &VirtualArguments) -> Result<(), Failure> {

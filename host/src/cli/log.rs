@@ -279,7 +279,10 @@ fn say_info(out: &mut impl Write, contents: &verify::Contents, runs: &[LoggedRun
         )?;
         if of_board.open_gaps > 0 {
             let gaps = of_board.open_gaps;
-            writeln!(out, "board {board}: {gaps} times it is not known how much was lost with power; see /gaps")?;
+            writeln!(
+                out,
+                "board {board}: {gaps} gaps of unknown length: stores that ended, or boots never heard; see /gaps"
+            )?;
         }
     }
     for run in runs {

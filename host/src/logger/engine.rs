@@ -7,15 +7,17 @@ use std::collections::{BTreeMap, HashMap};
 use std::net::SocketAddr;
 use std::sync::Arc;
 
+use thermokin_protocol::update::UpdateOrder;
 use thermokin_protocol::{
-    Arrival, Header, HostLink, Identity, Inbox, MAX_DATAGRAM, Received, Refused, ReplayGuard, SCHEMA_VERSION, Sensor,
-    Settings,
+    Arrival, Header, HostLink, Identity, Inbox, Kind, MAX_DATAGRAM, Received, Refused, ReplayGuard, SCHEMA_VERSION,
+    Sensor, Settings,
 };
 
 use super::clock::{BoardClock, Bound, ClockFit};
 use super::gauge::{Gauge, Remark};
 use super::group::{BoardState, Entry, Group, MarkKind, ReportEntry, ReportWords, SensorLabel};
 use super::registry::{Board, Registry};
+use super::update::Updates;
 use super::watch::{Trouble, Watch};
 
 /// How scattered a board's records may be above the contiguous part: 64 sequences a segment.
@@ -93,6 +95,11 @@ impl BoardEntry {
         self.link.guard().epoch()
     }
 
+    /// Where it was last heard from.
+    pub fn address(&self) -> Option<SocketAddr> {
+        self.address
+    }
+
     /// The names of its sensors, in the order of its list.
     pub fn labels(&self) -> &[SensorLabel] {
         &self.labels
@@ -116,6 +123,7 @@ pub struct Engine {
     to_answer: Vec<u32>,
     watch: Watch,
     tally: Tally,
+    updates: Updates,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -148,6 +156,7 @@ impl Engine {
             to_answer: Vec::new(),
             watch: Watch::default(),
             tally: Tally::default(),
+            updates: Updates::default(),
         };
         engine.take_registry(registry);
         engine
@@ -200,11 +209,21 @@ impl Engine {
         &mut self.watch
     }
 
+    /// The new programs that are on their way to boards.
+    pub fn updates(&self) -> &Updates {
+        &self.updates
+    }
+
+    /// The same, to begin one.
+    pub fn updates_mut(&mut self) -> &mut Updates {
+        &mut self.updates
+    }
+
     /// Takes a datagram that came at `now_us` on the host's clock. What it returns is to be sent back at once.
     pub fn on_datagram(&mut self, from: SocketAddr, datagram: &mut [u8], now_us: u64) -> Option<Vec<u8>> {
         let outcome = self.accept(from, datagram, now_us);
         match outcome {
-            Ok(()) => None,
+            Ok(order) => order,
             Err((board, refused)) => {
                 self.tally.refused += 1;
                 let number = board?;
@@ -231,7 +250,13 @@ impl Engine {
         }
     }
 
-    fn accept(&mut self, from: SocketAddr, datagram: &mut [u8], now_us: u64) -> Result<(), (Option<u32>, Refused)> {
+    /// Gives what is to be said of a new program.
+    fn accept(
+        &mut self,
+        from: SocketAddr,
+        datagram: &mut [u8],
+        now_us: u64,
+    ) -> Result<Option<Vec<u8>>, (Option<u32>, Refused)> {
         let header = Header::parse(datagram).map_err(|refused| (None, refused))?;
         let number = header.board;
         let refuse = |refused| (Some(number), refused);
@@ -252,6 +277,16 @@ impl Engine {
             });
             return Err(refuse(Refused::Misdirected));
         };
+        if header.kind == Kind::Update {
+            let report = board.link.open_update(datagram).map_err(refuse)?;
+            board.address = Some(from);
+            self.tally.accepted += 1;
+            let (order, words) = self.updates.take(number, header.epoch, report, now_us);
+            if let Some(words) = words {
+                self.watch.note(now_us, words);
+            }
+            return Ok(order.and_then(|order| seal_update(&mut board.link, &order)));
+        }
         let exact: Box<[u8]> = (&*datagram).into();
         let received = board.link.open(datagram).map_err(refuse)?;
         board.address = Some(from);
@@ -271,7 +306,10 @@ impl Engine {
         self.gathered += exact.len();
         self.group.entries.push(Entry::Datagram { board: number, arrived_us: now_us, bytes: exact });
         self.tally.accepted += 1;
-        self.take(number, received, now_us).map_err(refuse)
+        let boot = received.boot;
+        self.take(number, received, now_us).map_err(refuse)?;
+        let offer = self.updates.offer(number, boot, now_us);
+        Ok(offer.and_then(|offer| seal_update(&mut self.boards.get_mut(&number)?.link, &offer)))
     }
 
     fn take(&mut self, number: u32, received: Received, now_us: u64) -> Result<(), Refused> {
@@ -312,7 +350,7 @@ impl Engine {
                 let name = self.names.get(&(number, sensor.address)).cloned().unwrap_or_else(|| {
                     let name = format!("board{number}/0x{:02X}", sensor.address);
                     let trouble = Trouble::Unnamed(number, sensor.address);
-                    // Without any names there is no robot.toml, which the caller says once.
+                    // That there are no names at all is said once, by the caller.
                     if self.names.is_empty() {
                         return name;
                     }
@@ -493,6 +531,12 @@ impl Engine {
             }
         }
     }
+}
+
+fn seal_update(link: &mut HostLink<SEGMENTS>, order: &UpdateOrder<'_>) -> Option<Vec<u8>> {
+    let mut buffer = [0; MAX_DATAGRAM];
+    let length = link.update(order, &mut buffer)?;
+    Some(buffer[..length].to_vec())
 }
 
 fn tell(watch: &mut Watch, remark: Option<Remark>, board: u32, address: u8, name: &str, now_us: u64) {

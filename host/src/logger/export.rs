@@ -4,7 +4,7 @@
 //! each reading is mapped anew with those around it, earlier and later ones. So readings from before a clock had settled,
 //! which the log has with a wide uncertainty or none, come out as well known as those that follow.
 //!
-//! A log may be larger than the memory: its rows are sorted by [`super::sort`], and of its clocks only the tightest bound
+//! A log may be larger than the memory: its rows are sorted by `sort`, and of its clocks only the tightest bound
 //! of every five seconds is kept.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};

@@ -13,8 +13,10 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::engine::{Engine, Tally};
 use super::group::{Group, MarkKind};
+use super::program::SignedProgram;
 use super::registry::Registry;
 use super::sink::{Sink, SinkError};
+use super::status::{Status, interval_us};
 use super::store::{Attachment, Finished, Rotation, Store, StoreError};
 use crate::input::InputError;
 use crate::robot::Robot;
@@ -83,10 +85,12 @@ pub enum Wish {
     StopRun,
     /// To mark a step.
     Mark(String),
+    /// To offer a board a new program: its number, the offer's, the program's patience on trial in seconds, and the file.
+    Update(u32, u32, u16, PathBuf),
 }
 
 impl Wish {
-    /// Reads a wish from its words, `run NAME`, `stop-run`, `mark TEXT` or `stop`.
+    /// Reads a wish from its words, `run NAME`, `stop-run`, `mark TEXT`, `update BOARD ORDER SECONDS FILE` or `stop`.
     pub fn parse(text: &str) -> Option<Self> {
         let (verb, rest) = text.split_once(' ').unwrap_or((text, ""));
         match (verb, rest.trim()) {
@@ -94,6 +98,12 @@ impl Wish {
             ("stop-run", "") => Some(Wish::StopRun),
             ("run", name) if !name.is_empty() => Some(Wish::StartRun(name.to_owned())),
             ("mark", text) if !text.is_empty() => Some(Wish::Mark(text.to_owned())),
+            ("update", rest) => {
+                let mut parts = rest.splitn(4, ' ');
+                let (board, order) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+                let patience_s = parts.next()?.parse().ok()?;
+                Some(Wish::Update(board, order, patience_s, parts.next()?.into()))
+            }
             _ => None,
         }
     }
@@ -165,6 +175,13 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
         .or_else(|_| rustix::net::sockopt::set_socket_recv_buffer_size(&socket, SOCKET_BUFFER));
     let listen = socket.local_addr().unwrap_or(options.listen);
     let (store, finished) = Store::open(&options.store, options.rotation, attachments, clock.now_us())?;
+    let unnamed = match &options.robot {
+        None => Some("no robot.toml given: sensors are named by board and address".to_owned()),
+        Some(path) if names.is_empty() => {
+            Some(format!("{} puts no sensor on a board: sensors are named by board and address", path.display()))
+        }
+        Some(_) => None,
+    };
     let engine = Engine::new(store.epoch(), &registry, names, store.states().clone());
     let state = State { listen, store: options.store.clone(), run: None, free: None };
     let control = control(&options.store);
@@ -181,6 +198,7 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
         retry_us: 0,
         tick_us: 0,
         slow_us: 0,
+        told_us: 0,
     };
     for Finished { path, cut } in finished {
         let text = format!(
@@ -190,8 +208,8 @@ pub fn serve(options: &Options, stop: &AtomicBool, view: &mut dyn View) -> Resul
         view.say(logger.clock.now_us(), &text);
     }
     view.say(logger.clock.now_us(), &format!("listening on {listen}, storing in {}", options.store.display()));
-    if options.robot.is_none() {
-        view.say(logger.clock.now_us(), "no robot.toml given: sensors are named by board and address");
+    if let Some(words) = unnamed {
+        view.say(logger.clock.now_us(), &words);
     }
     if let Some(name) = &options.run {
         logger.wish(Wish::StartRun(name.clone()), view, stop);
@@ -252,6 +270,7 @@ struct Logger {
     retry_us: u64,
     tick_us: u64,
     slow_us: u64,
+    told_us: u64,
 }
 
 impl Logger {
@@ -269,6 +288,7 @@ impl Logger {
             }
         }
         self.answer();
+        self.hear_wishes(view, stop);
         if now_us.saturating_sub(self.tick_us) >= TICK_US {
             self.tick_us = now_us;
             self.tick(now_us, view, stop);
@@ -323,18 +343,32 @@ impl Logger {
                 None => {}
             }
         }
+        if now_us.saturating_sub(self.told_us) >= interval_us(self.engine.boards().len()) {
+            self.told_us = now_us;
+            self.tell_others(now_us);
+        }
         for text in self.engine.watch_mut().take_unsaid() {
             view.say(now_us, &text);
             self.engine.note_warning(now_us, text);
         }
-        let mut wishes = view.show(&self.engine, &self.state, now_us);
-        let mut buffer = [0; 512];
-        while let Some(Ok(length)) = self.control.as_ref().map(|control| control.recv(&mut buffer)) {
-            wishes.extend(std::str::from_utf8(&buffer[..length]).ok().and_then(Wish::parse));
-        }
-        for wish in wishes {
+        for wish in view.show(&self.engine, &self.state, now_us) {
             self.wish(wish, view, stop);
         }
+    }
+
+    /// Takes what other terminals ask for. In every turn: the time of a mark is the time at which it is heard here.
+    fn hear_wishes(&mut self, view: &mut dyn View, stop: &AtomicBool) {
+        let mut buffer = [0; 512];
+        while let Some(Ok(length)) = self.control.as_ref().map(|control| control.recv(&mut buffer)) {
+            if let Some(wish) = std::str::from_utf8(&buffer[..length]).ok().and_then(Wish::parse) {
+                self.wish(wish, view, stop);
+            }
+        }
+    }
+
+    fn tell_others(&mut self, now_us: u64) {
+        // It is for people, and written again in a moment; what keeps the store from being written is told elsewhere.
+        let _ = Status::of(&self.engine, now_us).write(&self.state.store);
     }
 
     fn look_at_disk(&mut self, now_us: u64) {
@@ -366,6 +400,15 @@ impl Logger {
                 view.say(now_us, &format!("mark: {text}"));
                 self.engine.mark(now_us, MarkKind::Mark, text);
             }
+            Wish::Update(board, order, patience_s, file) => {
+                let bytes = std::fs::read(&file).map_err(|error| error.to_string());
+                match bytes.and_then(|bytes| SignedProgram::from_bytes(&bytes)) {
+                    Ok(program) => self.engine.updates_mut().begin(board, order, patience_s, Arc::new(program)),
+                    Err(error) => {
+                        view.say(now_us, &format!("no new program for board {board}: {}: {error}", file.display()))
+                    }
+                }
+            }
         }
     }
 
@@ -384,6 +427,7 @@ impl Logger {
             self.settle(outcome);
         }
         self.answer();
+        self.tell_others(self.clock.now_us());
         if self.control.is_some() {
             let _ = std::fs::remove_file(control_path(&self.state.store));
         }

@@ -60,6 +60,11 @@ impl Watch {
         }
     }
 
+    /// Says something that is no trouble.
+    pub fn note(&mut self, now_us: u64, text: String) {
+        self.say(now_us, text);
+    }
+
     /// Whether a trouble lasts.
     pub fn lasts(&self, trouble: &Trouble) -> bool {
         self.active.contains_key(trouble)

@@ -23,7 +23,11 @@ pub fn datagram(bytes: &[u8]) {
 
 /// The bytes sealed under the right key, as many as a datagram takes.
 fn sealed(direction: Direction, epoch: u32, bytes: &[u8]) -> Vec<u8> {
-    let header = Header { version: SCHEMA_VERSION, direction, kind: Kind::Message, board: 3, epoch, counter: 0 };
+    sealed_as(Kind::Message, direction, epoch, bytes)
+}
+
+fn sealed_as(kind: Kind, direction: Direction, epoch: u32, bytes: &[u8]) -> Vec<u8> {
+    let header = Header { version: SCHEMA_VERSION, direction, kind, board: 3, epoch, counter: 0 };
     let mut buffer = [0; MAX_DATAGRAM];
     let length = bytes.len().min(seal::MAX_MESSAGE);
     buffer[HEADER_LENGTH..HEADER_LENGTH + length].copy_from_slice(&bytes[..length]);
@@ -49,6 +53,9 @@ pub fn message(bytes: &[u8]) {
     let sensors = [Sensor { address: 0x48, kind: SensorKind::Max30205 }];
     let mut board: BoardLink<8> = BoardLink::new(3, key(), 5, identity, &sensors, Settings::default(), 0);
     let mut buffer = [0; MAX_DATAGRAM];
+    // The same bytes as something that is said of a new program.
+    let _ = host.open_update(&mut sealed_as(Kind::Update, Direction::ToHost, 7, bytes));
+    let _ = board.receive(0, &mut sealed_as(Kind::Update, Direction::ToBoard, 0, bytes));
     // Some records are thinned out, some are under way and some are not when the message comes.
     for second in 0..12 {
         board.record(second * 1_000_000, &[Reading::Ok(5000)]);

@@ -13,16 +13,18 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+pub mod image;
+
 use serde_json::{Value, json};
 use thermokin_protocol::{Configuration, Key, Sensor, SensorKind};
 
-const REPOSITORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+pub const REPOSITORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 const SENSORS: usize = 4;
 const FIRST_ADDRESS: u8 = 0x48;
 /// Where the emulated board looks for its configuration.
 const CONFIGURATION_PAGE: u32 = 0x0003_FC00;
 /// The longest that anything here may take on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A test's folder, with the registry of its boards, the description of its robot and the logger's store; it is kept for
 /// whoever wants to see why a test failed, and emptied when the test runs again.
@@ -90,12 +92,17 @@ impl Workshop {
 
     /// Starts a board with some key.
     pub fn board_with_key(&self, board: u32, key: Key) -> Emulator {
+        self.start(&Configuration { key, ..self.configuration(board) }, &[])
+    }
+
+    /// What a board is told, with its own key.
+    pub fn configuration(&self, board: u32) -> Configuration {
         let sensors =
             (0..SENSORS).map(|sensor| Sensor { address: FIRST_ADDRESS + sensor as u8, kind: SensorKind::Lm75 });
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-        let configuration = Configuration {
+        Configuration {
             board,
-            key,
+            key: Key::from_bytes(key(board)),
             // Greater at every start of the emulator, by more than a board can be reset in between.
             first_boot: since_1970.as_secs() as u32,
             host: "10.0.2.2".try_into().unwrap(),
@@ -103,8 +110,52 @@ impl Workshop {
             sensors: sensors.collect(),
             place: "bench".try_into().unwrap(),
             wifi: None,
-        };
-        Emulator::start(&self.folder, &configuration)
+            update_key: None,
+        }
+    }
+
+    /// Starts a board that is told something of its own, with more of the emulator's options.
+    pub fn start(&self, configuration: &Configuration, options: &[&str]) -> Emulator {
+        let image = Path::new(REPOSITORY).join("firmware/target/thumbv7m-none-eabi/release/emulated");
+        assert!(image.exists(), "{} is not built: bash firmware/ci build", image.display());
+        Emulator::start(&self.folder, configuration, &image, options)
+    }
+
+    /// Starts a board with another program.
+    pub fn start_program(&self, configuration: &Configuration, program: &Path, options: &[&str]) -> Emulator {
+        Emulator::start(&self.folder, configuration, program, options)
+    }
+
+    /// The registry.
+    pub fn registry(&self) -> PathBuf {
+        self.folder.join("boards.toml")
+    }
+
+    /// What `thermokin board list` says of a board.
+    pub fn listed(&self, board: usize) -> Value {
+        let mut command = thermokin();
+        command.args(["board", "list", "--json", "-", "--store"]).arg(self.store());
+        let output = command.arg("--registry").arg(self.registry()).output().unwrap();
+        let listed: Value = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
+        listed["boards"][board].clone()
+    }
+
+    /// Waits until `thermokin board list` says something of board 0.
+    ///
+    /// # Panics
+    ///
+    /// When it does not within [`PATIENCE`].
+    pub fn wait_until_listed(&self, what: &str, satisfied: impl Fn(&Value) -> bool) -> Value {
+        let begin = Instant::now();
+        loop {
+            let listed = self.listed(0);
+            if satisfied(&listed) {
+                return listed;
+            }
+            assert!(begin.elapsed() < PATIENCE, "{what}: not within {PATIENCE:?}, but {listed}");
+            sleep(Duration::from_millis(200));
+        }
     }
 
     /// The readings that are stored: for each sensor, times in seconds and counts, in order.
@@ -220,9 +271,7 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    fn start(folder: &Path, configuration: &Configuration) -> Self {
-        let image = Path::new(REPOSITORY).join("firmware/target/thumbv7m-none-eabi/release/emulated");
-        assert!(image.exists(), "{} is not built: bash firmware/ci build", image.display());
+    fn start(folder: &Path, configuration: &Configuration, image: &Path, options: &[&str]) -> Self {
         let board = configuration.board;
         let page = folder.join(format!("board{board}.page"));
         fs::write(&page, configuration.to_page()).unwrap();
@@ -230,7 +279,8 @@ impl Emulator {
         let _ = fs::remove_file(&socket);
         let mut command = Command::new("qemu-system-arm");
         command
-            .args(["-M", "lm3s6965evb", "-display", "none", "-monitor", "none", "-nic", "user"])
+            // It stands still until the monitor is reached: a board that restarts at once may end the emulator before.
+            .args(["-M", "lm3s6965evb", "-display", "none", "-monitor", "none", "-nic", "user", "-S"])
             .arg("-kernel")
             .arg(image);
         command.arg("-device").arg(format!("loader,file={},addr={CONFIGURATION_PAGE},force-raw=on", page.display()));
@@ -239,6 +289,8 @@ impl Emulator {
         for sensor in 0..SENSORS {
             command.arg("-device").arg(format!("tmp105,address={},id=s{sensor}", FIRST_ADDRESS + sensor as u8));
         }
+        // What the emulator itself looks for, its flash chip and its debugger's socket, lies in the test's folder too.
+        command.current_dir(folder).args(options);
         let words = File::create(folder.join(format!("board{board}.qemu"))).unwrap();
         command.stdin(Stdio::null()).stdout(words.try_clone().unwrap()).stderr(words);
         let process = command.spawn().unwrap_or_else(|error| {
@@ -255,6 +307,7 @@ impl Emulator {
         let mut emulator = Self { process, monitor: BufReader::new(monitor) };
         emulator.answer();
         emulator.order("qmp_capabilities", json!({}));
+        emulator.go_on();
         emulator
     }
 
@@ -279,6 +332,36 @@ impl Emulator {
     /// Presses the reset button.
     pub fn reset(&mut self) {
         self.order("system_reset", json!({}));
+    }
+
+    /// Has the board stand still, its clock too.
+    pub fn pause(&mut self) {
+        self.order("stop", json!({}));
+    }
+
+    /// Has it go on.
+    pub fn go_on(&mut self) {
+        self.order("cont", json!({}));
+    }
+
+    /// Waits until the board has switched the emulator off by a restart; only for one that was started with
+    /// `-action reboot=shutdown`.
+    ///
+    /// # Panics
+    ///
+    /// When that does not come within [`PATIENCE`].
+    pub fn wait_for_restart(mut self, what: &str) {
+        let begin = Instant::now();
+        while self.process.try_wait().unwrap().is_none() {
+            assert!(begin.elapsed() < PATIENCE, "{what}: no restart within {PATIENCE:?}");
+            sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// What lies in the board's memory.
+    pub fn memory(&mut self, from: u32, length: u32, file: &Path) -> Vec<u8> {
+        self.order("pmemsave", json!({"val": from, "size": length, "filename": file}));
+        fs::read(file).unwrap()
     }
 
     fn move_to(&mut self, sensor: usize, address: u8) {

@@ -6,6 +6,7 @@
 
 mod clock;
 mod ethernet;
+mod flash;
 mod i2c;
 mod log;
 mod register;
@@ -19,18 +20,21 @@ use embassy_executor::Spawner;
 use embassy_net::{Config, Runner, StackResources};
 use static_cell::{ConstStaticCell, StaticCell};
 use thermokin_firmware::power::ESP32C3_MAX30205;
+use thermokin_firmware::update::{Start, Updater, Updates};
 use thermokin_firmware::{Board, Link, Store, Supply, VERSION};
+use thermokin_protocol::update::Target;
 use thermokin_protocol::{Battery, Configuration, Identity, MAX_PAGE, Settings};
 
 use crate::ethernet::{Cable, Ethernet};
+use crate::flash::{Chip, LAYOUT};
 use crate::i2c::Master;
 use crate::retained::Note;
 use crate::watchdog::Dog;
 
-/// The records that fit the 64 KiB of this board beside everything else: 11 minutes at one a second.
-const RECORDS: usize = 700;
+/// The blocks of records that fit the 64 KiB of this board beside everything else.
+const BLOCKS: usize = 64;
 
-static STORE: ConstStaticCell<Store<RECORDS>> = ConstStaticCell::new(Store::new(0));
+static STORE: ConstStaticCell<Store<BLOCKS>> = ConstStaticCell::new(Store::new(0));
 
 /// Where the configuration lies: the last KiB of flash, outside the linker's map.
 const CONFIGURATION_PAGE: usize = 0x0003_FC00;
@@ -38,6 +42,8 @@ const CONFIGURATION_PAGE: usize = 0x0003_FC00;
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     clock::start();
+    // What cannot go on from here is reset by the watchdog, as on the other board.
+    let watchdog = Dog::start();
     let configuration = match Configuration::from_page(configuration_page()) {
         Ok(configuration) => {
             static CONFIGURATION: StaticCell<Configuration> = StaticCell::new();
@@ -50,6 +56,7 @@ async fn main(spawner: Spawner) {
     };
     let (boot, reset) = retained::begin_boot(configuration.first_boot);
     info!("board {=u32}, boot {=u32} after {}", configuration.board, boot, reset);
+    let mut updater = configuration.update_key.and_then(take_up_update);
 
     static RESOURCES: StaticCell<StackResources<4>> = StaticCell::new();
     let seed = u64::from(configuration.board) << 32 | u64::from(boot);
@@ -64,7 +71,8 @@ async fn main(spawner: Spawner) {
         Err(_) => unreachable!("the task's only instance is spawned once"),
     }
 
-    let identity = Identity { firmware: VERSION, reset, capacity: RECORDS as u32 };
+    // The link knows its store's capacity.
+    let identity = Identity { firmware: VERSION, reset, capacity: 0 };
     let store = STORE.take();
     store.begin(boot);
     let link = Link::resume(
@@ -81,11 +89,13 @@ async fn main(spawner: Spawner) {
         bus: Master::new(),
         stack,
         radio: Cable,
-        watchdog: Dog::start(),
+        watchdog,
         supply: Mains,
         configuration,
         // What the same duty would cost on the board that is glued to robots.
         currents: ESP32C3_MAX30205,
+        updates: updater.as_mut().map(|updater| updater as &mut dyn Updates),
+        restart,
     };
     if let Err(bad) = board.run(link).await {
         error!("nothing can be done: {}", bad);
@@ -95,6 +105,23 @@ async fn main(spawner: Spawner) {
 #[embassy_executor::task]
 async fn run_network(mut runner: Runner<'static, Ethernet>) -> ! {
     runner.run().await
+}
+
+/// A configuration that names a key for programs belongs to an emulator that was started with a flash chip for them.
+fn take_up_update(key: [u8; 32]) -> Option<Updater<Chip>> {
+    match Chip::open().and_then(|chip| Updater::start(chip, LAYOUT, Target::Emulated, Some(key), None)) {
+        Ok((updater, Start::Run)) => Some(updater),
+        Ok((_, Start::Restart)) => restart(),
+        Err(unreachable) => {
+            error!("no new programs: {}", unreachable);
+            None
+        }
+    }
+}
+
+fn restart() -> ! {
+    retained::note_reset(Note::Restart);
+    cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// The emulator runs on no battery.
@@ -119,6 +146,7 @@ unsafe fn DefaultHandler(interrupt: i16) {
     match interrupt.try_into() {
         Ok(clock::ALARM_INTERRUPT) => clock::alarm(),
         Ok(ethernet::INTERRUPT) => ethernet::received(),
+        Ok(watchdog::INTERRUPT) => watchdog::hungry(),
         _ => panic!("an interrupt that nobody let through"),
     }
 }

@@ -37,6 +37,11 @@ pub fn unmask(interrupt: u16) {
     unsafe { cortex_m::peripheral::NVIC::unmask(Interrupt(interrupt)) }
 }
 
+/// Keeps an interrupt of the chip's back.
+pub fn mask(interrupt: u16) {
+    cortex_m::peripheral::NVIC::mask(Interrupt(interrupt));
+}
+
 #[derive(Debug, Clone, Copy)]
 struct Interrupt(u16);
 

@@ -29,6 +29,8 @@ pub enum Note {
     Watchdog = 1,
     /// The program panicked.
     Panic = 2,
+    /// The program restarts the board.
+    Restart = 3,
 }
 
 /// Begins a boot: its number, at least `first`, and why it came.
@@ -39,6 +41,7 @@ pub fn begin_boot(first: u32) -> (u32, ResetReason) {
         let reason = match note {
             note if note == Note::Watchdog as u32 => ResetReason::Watchdog,
             note if note == Note::Panic as u32 => ResetReason::Panic,
+            note if note == Note::Restart as u32 => ResetReason::Software,
             _ => ResetReason::External,
         };
         ((boot + 1).max(first), reason)

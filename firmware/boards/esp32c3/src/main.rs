@@ -25,11 +25,13 @@ use esp_hal::rng::Rng;
 use esp_hal::rtc_cntl::{Rtc, Rwdt, RwdtStage, SocResetReason};
 use esp_hal::system::reset_reason;
 use esp_hal::timer::timg::TimerGroup;
-use esp_hal::{Blocking, Config, time};
+use esp_hal::{Blocking, Config, ram, time};
 use esp_println as _;
 use esp_radio::wifi::Interface;
+use portable_atomic::{AtomicU32, Ordering};
 use static_cell::{ConstStaticCell, StaticCell};
 use thermokin_firmware::power::ESP32C3_MAX30205;
+use thermokin_firmware::update::{Start, Updates};
 use thermokin_firmware::{Board, Link, Store, Supply, VERSION, Watchdog};
 use thermokin_protocol::{Battery, Configuration, Identity, ResetReason, Settings, Wifi};
 
@@ -38,13 +40,13 @@ use crate::radio::Station;
 
 esp_bootloader_esp_idf::esp_app_desc!();
 
-/// The records that fit the RAM beside the radio's heap: an hour and 42 minutes at one a second before the oldest are thinned.
-const RECORDS: usize = 6144;
+/// The blocks of records that fit the RAM beside the radio's heap.
+const BLOCKS: usize = 736;
 /// The radio's heap: the part that the second-stage bootloader no longer needs, and the rest.
 const RECLAIMED_HEAP: usize = 64 * 1024;
 const FURTHER_HEAP: usize = 36 * 1024;
 
-static STORE: ConstStaticCell<Store<RECORDS>> = ConstStaticCell::new(Store::new(0));
+static STORE: ConstStaticCell<Store<BLOCKS>> = ConstStaticCell::new(Store::new(0));
 
 #[esp_rtos::main]
 async fn main(spawner: Spawner) {
@@ -55,7 +57,17 @@ async fn main(spawner: Spawner) {
     let sleep = esp_rtos::sleep::configure(peripherals.LPWR);
     esp_rtos::start_with_idle_hook(timers.timer0, peripherals.FROM_CPU_INTR0, sleep.light_sleep_hook);
 
-    let (configuration, boot) = match flash::begin_boot(peripherals.FLASH) {
+    // What cannot go on from here is reset by the watchdog: a program on trial that cannot start is gone back from.
+    let watchdog = Dog::start(Rtc::new(peripherals.RTC_TIMER));
+    let mut flash = flash::open(peripherals.FLASH);
+    let begun = flash::begin_boot(&mut flash);
+    let key = begun.as_ref().ok().and_then(|(configuration, _)| configuration.update_key);
+    let mut updater = match flash::take_up_update(flash, key) {
+        Some((_, Start::Restart)) => restart(),
+        Some((updater, Start::Run)) => Some(updater),
+        None => None,
+    };
+    let (configuration, boot) = match begun {
         Ok((configuration, boot)) => {
             static CONFIGURATION: StaticCell<Configuration> = StaticCell::new();
             (&*CONFIGURATION.init(configuration), boot)
@@ -95,7 +107,8 @@ async fn main(spawner: Spawner) {
         configuration.board,
         configuration.key.clone(),
         boot,
-        Identity { firmware: VERSION, reset, capacity: RECORDS as u32 },
+        // The link knows its store's capacity.
+        Identity { firmware: VERSION, reset, capacity: 0 },
         &configuration.sensors,
         Settings::default(),
         embassy_time::Instant::now().as_micros(),
@@ -105,10 +118,12 @@ async fn main(spawner: Spawner) {
         bus: Bus::new(peripherals.I2C0, peripherals.GPIO6, peripherals.GPIO7),
         stack,
         radio: Station::new(),
-        watchdog: Dog::start(Rtc::new(peripherals.RTC_TIMER)),
+        watchdog,
         supply: Cell::new(peripherals.ADC1, peripherals.GPIO2),
         configuration,
         currents: ESP32C3_MAX30205,
+        updates: updater.as_mut().map(|updater| updater as &mut dyn Updates),
+        restart,
     };
     if let Err(bad) = board.run(link).await {
         error!("nothing can be done: {}", bad);
@@ -125,23 +140,36 @@ async fn run_radio(wifi: WIFI<'static>, credentials: &'static Wifi) -> ! {
     radio::run(wifi, credentials).await
 }
 
-/// What the chip tells about its last reset; the only reset that this firmware asks for itself is that of a panic.
+/// Set by a panic, in memory that a reset leaves alone: the chip itself cannot tell it from a restart that was asked for.
+#[ram(unstable(rtc_fast, persistent))]
+static PANICKED: AtomicU32 = AtomicU32::new(0);
+/// What a panic sets; with the power the memory may become anything.
+const PANIC: u32 = 0x7061_6E69;
+
+/// What the chip tells about its last reset.
 fn why_reset() -> ResetReason {
     use SocResetReason::{
         ChipPowerOn, CoreDeepSleep, CoreMwdt0, CoreMwdt1, CoreRtcWdt, CoreSw, CoreUsbJtag, CoreUsbUart, Cpu0Mwdt0,
         Cpu0Mwdt1, Cpu0RtcWdt, Cpu0Sw, SysBrownOut, SysRtcWdt, SysSuperWdt,
     };
-    match reset_reason() {
+    let reason = match reset_reason() {
         Some(ChipPowerOn) => ResetReason::PowerOn,
         Some(SysBrownOut) => ResetReason::Brownout,
         Some(CoreMwdt0 | CoreMwdt1 | CoreRtcWdt | Cpu0Mwdt0 | Cpu0Mwdt1 | Cpu0RtcWdt | SysRtcWdt | SysSuperWdt) => {
             ResetReason::Watchdog
         }
-        Some(CoreSw | Cpu0Sw) => ResetReason::Panic,
+        Some(CoreSw | Cpu0Sw) if PANICKED.load(Ordering::Relaxed) == PANIC => ResetReason::Panic,
+        Some(CoreSw | Cpu0Sw) => ResetReason::Software,
         Some(CoreUsbUart | CoreUsbJtag) => ResetReason::External,
         Some(CoreDeepSleep) => ResetReason::Wake,
         Some(_) | None => ResetReason::Unknown,
-    }
+    };
+    PANICKED.store(0, Ordering::Relaxed);
+    reason
+}
+
+fn restart() -> ! {
+    esp_hal::system::software_reset()
 }
 
 /// The watchdog of the RTC; it stands still while the chip sleeps.
@@ -187,5 +215,6 @@ impl Supply for Cell {
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
     error!("panic: {}", defmt::Display2Format(info));
+    PANICKED.store(PANIC, Ordering::Relaxed);
     esp_hal::system::software_reset()
 }

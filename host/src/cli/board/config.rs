@@ -7,8 +7,10 @@ use clap::Args;
 use thermokin_protocol::{Configuration, Sensor, SensorKind, Wifi};
 
 use super::path_or_default;
+use super::update::key_path;
 use crate::cli::Failure;
 use crate::input::InputError;
+use crate::logger::program::signing_key;
 use crate::logger::registry::{Registry, write_secret};
 
 /// The most sensors that the firmware reads.
@@ -34,6 +36,10 @@ pub struct PageArguments {
     /// A file whose first line is the network's password; without it the network is open
     #[arg(long, value_name = "FILE")]
     password_file: Option<PathBuf>,
+    /// The key that signs programs, made if there is none yet: the board takes new programs of this key over the air
+    /// [default: update.key beside the registry]
+    #[arg(long, value_name = "FILE")]
+    update_key: Option<PathBuf>,
     /// The registry of boards [default: thermokin/boards.toml in the user's configuration]
     #[arg(long, value_name = "FILE")]
     registry: Option<PathBuf>,
@@ -85,6 +91,7 @@ pub fn configuration(arguments: &PageArguments) -> Result<Configuration, Failure
             "board {number}: a MAX30205 cannot have address 0x{address:02X}, only 0x40 to 0x5F"
         )));
     }
+    let update_key = signing_key(&key_path(arguments.update_key.as_ref(), &path))?;
     let long = |what: &str, most: usize| Failure::Usage(format!("{what} is longer than {most} bytes"));
     let password = match &arguments.password_file {
         Some(file) => first_line(file)?,
@@ -107,6 +114,7 @@ pub fn configuration(arguments: &PageArguments) -> Result<Configuration, Failure
             ssid: arguments.ssid.as_str().try_into().map_err(|_| long("--ssid", 32))?,
             password: password.as_str().try_into().map_err(|_| long("the password", 64))?,
         }),
+        update_key: Some(update_key.verifying_key().to_bytes()),
     })
 }
 

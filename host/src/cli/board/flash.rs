@@ -7,6 +7,7 @@ use std::process::Command;
 use clap::Args;
 
 use super::config::{PageArguments, configuration};
+use super::execute;
 use crate::cli::Failure;
 use crate::input::InputError;
 use crate::logger::registry::write_secret;
@@ -58,18 +59,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     execute(flash.arg("--partition-table").arg(&partitions).arg(&arguments.image))?;
     println!("board {} is flashed", configuration.board);
     Ok(())
-}
-
-fn execute(command: &mut Command) -> Result<(), Failure> {
-    let program = command.get_program().to_string_lossy().into_owned();
-    match command.status() {
-        Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(Failure::Work(format!("{program} failed ({status})"))),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            Err(Failure::Work(format!("{program} is not installed: cargo install espflash --locked")))
-        }
-        Err(error) => Err(Failure::Work(format!("{program}: {error}"))),
-    }
 }
 
 /// A folder that is removed, with the key in it, however the command ends.

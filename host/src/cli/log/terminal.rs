@@ -264,3 +264,92 @@ fn bars(gauge: &Gauge) -> String {
     let span = (high - low).max(FLAT_K);
     gauge.history().map(|celsius| BARS[(((celsius - low) / span * 7.0).round() as usize).min(7)]).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{BTreeMap, HashMap};
+    use std::net::SocketAddr;
+
+    use ratatui::backend::TestBackend;
+    use thermokin_protocol::{
+        BoardCounters, BoardLink, Firmware, Identity, Key, MAX_DATAGRAM, ResetReason, Sensor, SensorKind, Settings,
+    };
+
+    use super::*;
+    use crate::logger::registry::{Board, Registry};
+
+    const START_US: u64 = 1_795_000_000_000_000;
+
+    fn place(board: u32, sensors: Vec<u8>) -> Board {
+        let key = Key::from_bytes([board as u8; 32]);
+        Board { board, robot: "arm".into(), link: 0, sensors, key, first_boot: 1 }
+    }
+
+    /// A minute of a board with two sensors, of which one warms by 1/256 K a second and one is absent; a second board is
+    /// not heard.
+    fn engine() -> Engine {
+        let registry = Registry {
+            settings: Settings { revision: 1, ..Settings::default() },
+            boards: vec![place(3, vec![0x48, 0x49]), place(4, vec![0x48])],
+        };
+        let names = HashMap::from([((3, 0x48), "L0S1".to_owned()), ((3, 0x49), "L0S2".to_owned())]);
+        let mut engine = Engine::new((START_US / 1_000_000) as u32, &registry, names, BTreeMap::new());
+        let identity =
+            Identity { firmware: Firmware { major: 0, minor: 1, patch: 0 }, reset: ResetReason::PowerOn, capacity: 0 };
+        let sensors = [0x48, 0x49].map(|address| Sensor { address, kind: SensorKind::Max30205 });
+        let key = registry.boards[0].key.clone();
+        let mut board: BoardLink<256> = BoardLink::new(3, key, 1, identity, &sensors, registry.settings, 0);
+        board.set_health(Battery::Millivolts(3987), Signal::Dbm(-61), BoardCounters::default());
+        let address = SocketAddr::from(([127, 0, 0, 1], 9));
+        let mut buffer = [0; MAX_DATAGRAM];
+        for second in 1..=60 {
+            let (board_us, now_us) = (second * 1_000_000, START_US + second * 1_000_000);
+            board.record(board_us, &[Reading::Ok(5120 + second as i16), Reading::Absent]);
+            while let Some(length) = board.poll(board_us, &mut buffer) {
+                assert_eq!(engine.on_datagram(address, &mut buffer[..length], now_us), None);
+            }
+            engine.close_group(now_us).expect("something came");
+            engine.committed(now_us);
+            engine.answers(
+                || now_us,
+                |_, answer| {
+                    board.receive(board_us + 1000, &mut answer.to_vec()).expect("it is authentic");
+                },
+            );
+        }
+        engine
+    }
+
+    #[test]
+    fn a_row_a_sensor_with_all_that_matters() {
+        let engine = engine();
+        let state = State {
+            listen: SocketAddr::from(([127, 0, 0, 1], 4840)),
+            store: "log".into(),
+            run: Some(("warm-up".to_owned(), START_US)),
+            free: Some(5_000_000_000),
+        };
+        let mut terminal = ratatui::Terminal::new(TestBackend::new(120, 14)).expect("it has a size");
+        let now_us = START_US + 62_000_000;
+        terminal
+            .draw(|frame| draw(frame, &engine, &state, now_us, &mut TableState::default(), None))
+            .expect("it is drawn");
+        let screen = terminal.backend().buffer();
+        let lines: Vec<String> =
+            screen.content().chunks(120).map(|line| line.iter().map(|cell| cell.symbol()).collect()).collect();
+        let words = |line: usize| -> Vec<&str> { lines[line].split_whitespace().collect() };
+        assert!(lines[0].contains("run warm-up 0:01:02") && lines[0].contains("5.0 GB free"), "{lines:#?}");
+        // A reading that says why there is no value is one, too.
+        assert!(lines[1].starts_with("1 of 2 boards heard   120 readings stored   0 records lost"), "{lines:#?}");
+        // Name, value, bars, trend, age, board, signal, battery, losses, clock.
+        let warming = words(4);
+        assert_eq!(warming[..2], ["│L0S1", "20.234"], "{lines:#?}");
+        assert!(warming[2].starts_with('▁') && warming[2].ends_with('█'), "{lines:#?}");
+        assert_eq!(warming[3..9], ["+0.23", "2", "3", "-61", "3987", "0"], "{lines:#?}");
+        assert!(warming[9].starts_with('±'), "{lines:#?}");
+        assert_eq!(words(5)[..2], ["│L0S2", "absent"], "{lines:#?}");
+        assert_eq!(words(6)[..4], ["│not", "heard", "yet", "4"], "{lines:#?}");
+        let said = lines.iter().find(|line| line.contains("gives no reading")).expect("it is told");
+        assert!(said.contains("sensor L0S2 gives no reading (absent), board 3 address 0x49"), "{lines:#?}");
+    }
+}
