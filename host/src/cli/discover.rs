@@ -8,9 +8,10 @@ use serde_json::{Value, json};
 use super::Failure;
 use super::campaign::RunOptions;
 use super::output::JsonOption;
+use super::progress::Steps;
 use super::words;
 use crate::calibrate::Request;
-use crate::discover::{Discovery, DiscoveryError, DiscoveryRequest, Finding, Level, discover};
+use crate::discover::{Discovery, DiscoveryError, DiscoveryRequest, Finding, Level, STEPS, discover_in_steps};
 
 /// Find what a calibrated model gets wrong, name the physical cause, and measure what its correction gains
 #[derive(Debug, Args)]
@@ -54,7 +55,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         seed: arguments.seed,
         hold_out: !arguments.no_hold_out,
     };
-    let discovery = discover(&robot, &run, &request)?;
+    let steps = Steps::new(STEPS, "discovering");
+    let discovery = discover_in_steps(&robot, &run, &request, &|| steps.done())?;
+    drop(steps);
     if let Some(file) = &arguments.out {
         discovery.model().write(file).map_err(|error| Failure::Work(error.to_string()))?;
     }
@@ -63,6 +66,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     arguments.json.write(&as_json(&discovery))
 }
+
+/// Tests with larger chances than this are counted, not listed, and at most so many are listed.
+const LEAST_TOLD: f64 = 0.01;
+const MOST_TOLD: usize = 10;
 
 /// A chance from its logarithm; the smallest positive number where it is smaller than any.
 fn chance(ln_p: f64) -> f64 {
@@ -104,6 +111,9 @@ fn say_finding(finding: &Finding) {
             other.log_evidence
         );
     }
+    if let Some(words) = &finding.separate_by {
+        println!("  what would tell them apart: {words}");
+    }
 }
 
 fn say(discovery: &Discovery) {
@@ -122,6 +132,19 @@ fn say(discovery: &Discovery) {
         discovery.noise.visit.iter().map(|sigma| format!("{:.1}", sigma * 1e6)).collect::<Vec<_>>().join(", "),
         discovery.floor_rms_mm
     );
+    if !discovery.tests.is_empty() {
+        println!("\nhow far what calibration leaves is from noise, along what each effect follows at its best place:");
+        for test in discovery.tests.iter().filter(|test| test.ln_p < LEAST_TOLD.ln()).take(MOST_TOLD) {
+            println!(
+                "  {:<22} {:<28} chance in noise {:.1e}",
+                test.effect.replace('_', " "),
+                test.place.to_string(),
+                chance(test.ln_p)
+            );
+        }
+        let rest = discovery.tests.iter().filter(|test| test.ln_p >= LEAST_TOLD.ln()).count();
+        println!("  {rest} effects have chances above {LEAST_TOLD}");
+    }
     if discovery.findings.is_empty() && !discovery.unexplained.significant {
         println!("nothing was found: the model explains these data down to their noise");
     }
@@ -159,6 +182,9 @@ fn as_json(discovery: &Discovery) -> Value {
                 "heldout_rms_mm_before": gain.before_mm, "heldout_rms_mm_after": gain.after_mm,
             })),
         });
+        if let Some(words) = &finding.separate_by {
+            value["separate_by"] = json!(words);
+        }
         if !finding.cycles.is_empty() {
             value["cycles"] = json!(finding.cycles);
         }
@@ -189,6 +215,10 @@ fn as_json(discovery: &Discovery) -> Value {
             })).collect::<Vec<_>>(),
         },
         "extended": level(&discovery.extended),
+        "tests": discovery.tests.iter().map(|test| json!({
+            "effect": test.effect, "where": test.place, "p_value": chance(test.ln_p),
+            "likelihood_ratio": test.ratio, "visible": test.visible,
+        })).collect::<Vec<_>>(),
         "notes": discovery.notes,
     })
 }

@@ -1,6 +1,6 @@
 //! Every effect at every place with every shape of its grid, tested against what is left.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::DMatrix;
 use rand_chacha::ChaCha8Rng;
@@ -8,6 +8,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::chance::{ln_chi_square, ln_likelihood_ratio, ln_smallest_of};
 use super::normal::{Factor, Normal, Strata, Whitened};
+use super::postures::{AtPostures, Draws, Products};
 use super::stage::{Column, Stage};
 use crate::effect::pattern::Pattern;
 use crate::effect::{Effect, Instance, Scene, Site, catalogue};
@@ -22,9 +23,8 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// What identifies it.
-    pub fn key(&self) -> (&'static str, Site) {
-        (self.effect.name(), self.site.clone())
+    fn family(&self, shape: &[f64]) -> Family {
+        (self.effect.name(), self.site.clone(), self.effect.family(shape))
     }
 }
 
@@ -43,12 +43,17 @@ pub struct Score {
     pub visible: f64,
 }
 
+/// A candidate's shapes of one family ([`Effect::family`]).
+type Family = (&'static str, Site, u8);
+
 /// How many independent tests the search amounts to.
 #[derive(Debug, Clone, Default)]
 pub struct Trials {
-    each: HashMap<(&'static str, Site), Look>,
-    /// Independent candidates in all.
-    pub all: f64,
+    each: HashMap<Family, Look>,
+    /// Independent candidates of the catalogue.
+    named: f64,
+    /// Independent patterns outside of it.
+    patterns: f64,
 }
 
 /// What looking at all shapes of one candidate is worth.
@@ -69,15 +74,27 @@ impl Look {
 }
 
 impl Trials {
-    /// Logarithm of the chance that the best of a candidate's shapes looks as good by noise alone.
-    pub fn over_shapes(&self, candidate: &Candidate, ln_p: f64, drop: f64) -> f64 {
-        ln_smallest_of(ln_p, self.each.get(&candidate.key()).map_or(1.0, |look| look.at(drop)))
+    /// Logarithm of the chance that the best of a candidate's shapes of the family of this one looks as good by noise alone.
+    pub fn over_shapes(&self, candidate: &Candidate, shape: &[f64], ln_p: f64, drop: f64) -> f64 {
+        ln_smallest_of(ln_p, self.tests(candidate, shape, drop))
     }
 
-    /// Logarithm of the chance that the best of the whole search looks as good as `ln_p` by noise alone.
-    pub fn over_all(&self, ln_p: f64) -> f64 {
-        ln_smallest_of(ln_p, self.all.max(1.0))
+    /// How many independent tests the family of a shape amounts to at a level.
+    fn tests(&self, candidate: &Candidate, shape: &[f64], drop: f64) -> f64 {
+        self.each.get(&candidate.family(shape)).map_or(1.0, |look| look.at(drop))
     }
+
+    /// Logarithm of the chance that the best of the whole catalogue, or of all patterns outside of it if it is one of them,
+    /// looks as good as `ln_p` by noise alone.
+    pub fn over_all(&self, instance: &Instance, ln_p: f64) -> f64 {
+        let count = if is_pattern(instance.effect) { self.patterns } else { self.named };
+        ln_smallest_of(ln_p, count.max(1.0))
+    }
+}
+
+/// Whether it is a pattern outside the catalogue.
+pub fn is_pattern(effect: &dyn Effect) -> bool {
+    effect.name() == Pattern.name()
 }
 
 /// All candidates of a scene, patterns outside the catalogue included. Faults of readings are told by the log itself.
@@ -147,8 +164,8 @@ impl Rivals {
     }
 }
 
-/// An effect that explains more than shared errors of postures and cycles by this log likelihood, with none of them left,
-/// is held against noise without them: shared errors are a name for what is not known, and an effect of a few numbers
+/// An effect that explains more than shared errors of postures and cycles by this log likelihood, and by what the choice
+/// among its shapes is worth, with none of them left, is held against noise without them: shared errors are a name for what is not known, and an effect of a few numbers
 /// takes all of them away only if it is their cause.
 const INSTEAD: f64 = 2.0;
 
@@ -165,23 +182,25 @@ struct Tried {
 fn try_shape(
     normal: &Normal<'_>,
     rivals: &Rivals,
-    cross: &super::normal::Cross,
+    products: &Products<'_>,
     columns: &[Column],
     candidate: &Candidate,
     shape: &[f64],
+    trials: &Trials,
 ) -> Option<Tried> {
     let mut best: Option<(f64, &Factor, usize, Vec<f64>, f64)> = None;
     // The chance in noise that postures and cycles do not share.
     let mut instead = 0.0_f64;
-    for factor in &rivals.factors {
-        let projected = factor.project(cross);
+    for (rank, factor) in rivals.factors.iter().enumerate() {
+        let projected = products.project(rank, factor);
         let (drop, freedom, coefficients) = projected.drop();
         let gain = factor.log_likelihood + 0.5 * drop - rivals.nothing;
-        if freedom > 0 && factor.is_unshared() && gain > INSTEAD {
+        if freedom > 0 && factor.is_unshared() && gain > INSTEAD + trials.tests(candidate, shape, drop).ln() {
             instead = ln_chi_square(drop, freedom);
         }
         if freedom > 0 && best.as_ref().is_none_or(|(other, ..)| gain > *other) {
-            let visible = projected.own.trace() / cross.own.trace();
+            let before: f64 = projected.before.iter().map(|norm| norm * norm).sum();
+            let visible = projected.own.trace() / before;
             best = Some((gain, factor, freedom, coefficients.iter().copied().collect(), visible));
         }
     }
@@ -206,13 +225,13 @@ pub fn score(
     trials: &Trials,
 ) -> Vec<Score> {
     let stage = normal.white.stage;
+    let at_postures = AtPostures::new(normal, &rivals.factors, None);
     let mut scores = in_two(candidates, |candidate| {
         let tried = candidate.effect.shapes(scene, &candidate.site).into_iter().filter_map(|shape| {
             let columns = columns(stage, scene, candidate, &shape);
-            try_shape(normal, rivals, &normal.cross(&columns), &columns, candidate, &shape)
+            try_shape(normal, rivals, &at_postures.products(&columns), &columns, candidate, &shape, trials)
         });
-        let best = tried.min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))?;
-        Some(score_of(candidate, best, trials))
+        tried.map(|tried| score_of(candidate, tried, trials)).min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))
     });
     scores.sort_by(|a, b| a.ln_p.total_cmp(&b.ln_p));
     scores
@@ -225,7 +244,7 @@ fn score_of(candidate: &Candidate, tried: Tried, trials: &Trials) -> Score {
         shape: tried.shape,
         coefficients: tried.coefficients,
     };
-    let ln_p = trials.over_shapes(candidate, tried.ln_p, tried.ratio);
+    let ln_p = trials.over_shapes(candidate, &instance.shape, tried.ln_p, tried.ratio);
     Score { instance, ratio: tried.ratio, freedom: tried.freedom, ln_p, visible: tried.visible }
 }
 
@@ -235,6 +254,7 @@ pub fn step_profile(
     rivals: &Rivals,
     scene: &Scene,
     instance: &Instance,
+    trials: &Trials,
 ) -> Vec<(f64, f64, f64, Option<Score>)> {
     const NEAR: usize = 12;
     let candidate = Candidate { effect: instance.effect, site: instance.site.clone() };
@@ -247,7 +267,8 @@ pub fn step_profile(
         let mut shape = instance.shape.clone();
         shape[time_place] = 0.5 * (times[gap - 1] + times[gap]);
         let columns = columns(normal.white.stage, scene, &candidate, &shape);
-        let tried = try_shape(normal, rivals, &normal.cross(&columns), &columns, &candidate, &shape);
+        let tried =
+            try_shape(normal, rivals, &Products::Columns(normal.cross(&columns)), &columns, &candidate, &shape, trials);
         let ratio = tried.as_ref().map_or(0.0, |tried| tried.ratio);
         (times[gap - 1], times[gap], ratio, tried.map(|tried| score_of(&candidate, tried, &Trials::default())))
     })
@@ -262,13 +283,13 @@ pub fn refine(normal: &Normal<'_>, rivals: &Rivals, scene: &Scene, score: &Score
         if candidate.effect.refine(scene, &score.instance.shape).iter().all(|reach| *reach == 0.0) {
             return score.clone();
         }
-        let profile = step_profile(normal, rivals, scene, &score.instance);
+        let profile = step_profile(normal, rivals, scene, &score.instance, trials);
         let best = profile.into_iter().filter_map(|(.., own)| own).max_by(|a, b| a.ratio.total_cmp(&b.ratio));
         return best.filter(|best| best.ratio > score.ratio).map_or_else(
             || score.clone(),
             |best| {
                 // The chance of the best point of the grid, at the drop that was found between.
-                let ln_p = trials.over_shapes(&candidate, best.ln_p, best.ratio);
+                let ln_p = trials.over_shapes(&candidate, &best.instance.shape, best.ln_p, best.ratio);
                 Score { ln_p, ..best }
             },
         );
@@ -288,7 +309,15 @@ pub fn refine(normal: &Normal<'_>, rivals: &Rivals, scene: &Scene, score: &Score
                     continue;
                 }
                 let columns = columns(normal.white.stage, scene, &candidate, &shape);
-                let tried = try_shape(normal, rivals, &normal.cross(&columns), &columns, &candidate, &shape);
+                let tried = try_shape(
+                    normal,
+                    rivals,
+                    &Products::Columns(normal.cross(&columns)),
+                    &columns,
+                    &candidate,
+                    &shape,
+                    trials,
+                );
                 if let Some(tried) = tried.filter(|tried| tried.ratio > best.ratio) {
                     best = score_of(&candidate, tried, trials);
                 }
@@ -353,24 +382,38 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
     let own = white_noise(&mut random, of_cycles, draws) * strata.cycle;
     shared.rows_mut(layout.nuisance + of_postures, of_cycles).copy_from(&own);
     let turned = factor.turn_draws(&normal, &shared);
-    // For each candidate and draw: the smallest chance, and the drop that it belongs to.
-    let results = in_two(candidates, |candidate| {
-        let mut smallest = vec![(0.0_f64, 0.0_f64); draws];
+    let factors = [factor];
+    let [factor] = &factors;
+    let draws_of = || Draws { turned: &turned, shared: &shared };
+    let at_postures = AtPostures::new(&normal, &factors, Some(draws_of()));
+    // For each family of a candidate's shapes and each draw: the smallest chance, and the drop that it belongs to.
+    let results: Vec<(Family, Vec<(f64, f64)>)> = in_two(candidates, |candidate| {
+        let mut largest: BTreeMap<(u8, usize), Vec<f64>> = BTreeMap::new();
         for shape in candidate.effect.shapes(scene, &candidate.site) {
             let columns = columns(stage, scene, candidate, &shape);
-            let cross = normal.cross(&columns);
-            let projected = factor.project(&cross);
-            let directions = projected.directions();
-            let drops = directions.drops(&factor.project_draws(&cross, &turned, &shared));
+            let products = at_postures.products(&columns);
+            let directions = products.project(0, factor).directions();
+            let drops = directions.drops(&products.project_draws(factor, &draws_of()));
+            let key = (candidate.effect.family(&shape), directions.count());
+            let largest = largest.entry(key).or_insert_with(|| vec![0.0; draws]);
+            largest.iter_mut().zip(drops).for_each(|(largest, drop)| *largest = largest.max(drop));
+        }
+        let mut families: BTreeMap<u8, Vec<(f64, f64)>> = BTreeMap::new();
+        for ((family, freedom), drops) in largest {
+            let smallest = families.entry(family).or_insert_with(|| vec![(0.0, 0.0); draws]);
             for (smallest, drop) in smallest.iter_mut().zip(drops) {
-                let ln_p = ln_chi_square(drop, directions.count());
+                let ln_p = ln_chi_square(drop, freedom);
                 if ln_p < smallest.0 {
                     *smallest = (ln_p, drop);
                 }
             }
         }
-        Some((candidate.key(), smallest))
-    });
+        let key = |family| (candidate.effect.name(), candidate.site.clone(), family);
+        Some(families.into_iter().map(|(family, smallest)| (key(family), smallest)).collect::<Vec<_>>())
+    })
+    .into_iter()
+    .flatten()
+    .collect();
     let each: HashMap<_, _> = results
         .iter()
         .map(|(key, smallest)| {
@@ -379,15 +422,18 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
             (key.clone(), Look { tests, usual })
         })
         .collect();
-    let best = (0..draws).map(|draw| {
-        let of = |(key, smallest): &(_, Vec<(f64, f64)>)| {
-            let look: &Look = &each[key];
-            ln_smallest_of(smallest[draw].0, look.at(smallest[draw].1))
-        };
-        results.iter().map(of).fold(0.0, f64::min)
-    });
-    let all = independent(best);
-    Trials { each, all }
+    let best_of = |patterns: bool| {
+        let own = results.iter().filter(|((name, ..), _)| (*name == Pattern.name()) == patterns);
+        let own: Vec<_> = own.map(|(key, smallest)| (each[key], smallest)).collect();
+        independent((0..draws).map(|draw| {
+            let of = |(look, smallest): &(Look, &Vec<(f64, f64)>)| {
+                ln_smallest_of(smallest[draw].0, look.at(smallest[draw].1))
+            };
+            own.iter().map(of).fold(0.0, f64::min)
+        }))
+    };
+    let (named, patterns) = (best_of(false), best_of(true));
+    Trials { each, named, patterns }
 }
 
 /// How many independent tests have the smallest chance that these draws had: `-ln(1 - p)` of the smallest of m is exponential

@@ -1,6 +1,6 @@
 //! A whole discovery: gross errors put right, the baseline, the search, what is left, and what the extension gains.
 
-use super::candidates::{Score, candidates};
+use super::candidates::{Score, candidates, is_pattern};
 use super::chance::ln_chi_square;
 use super::estimate::{Estimate, estimates};
 use super::fit::{Fit, positional, update_growth};
@@ -8,7 +8,8 @@ use super::gain::{Question, folds};
 use super::gross::{Outlier, Swap, plainly_wrong, put_labels_right, without};
 use super::normal::{Rows, Strata, System};
 use super::readings::{ReadingFault, examine};
-use super::search::{Search, is_pattern, search};
+use super::search::{Search, search};
+use super::separate::{Doubt, separated_by};
 use super::stage::{Point, Stage, errors};
 use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate, start};
 use crate::effect::pattern;
@@ -82,6 +83,8 @@ pub struct Finding {
     pub instance: Option<Instance>,
     /// What speaks for it, in a sentence, where it was not found in positions.
     pub evidence: Option<String>,
+    /// What would tell it from its nearest alternative, in words; none where there is no alternative.
+    pub separate_by: Option<String>,
 }
 
 /// A part of what has no name.
@@ -93,6 +96,21 @@ pub struct Part {
     pub share: f64,
     /// What it moves the targets by beyond what calibration absorbs, RMS, mm.
     pub rms_mm: f64,
+}
+
+/// How much an effect would explain of what the baseline leaves: how far residuals are from noise along what it follows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Test {
+    /// The effect.
+    pub effect: &'static str,
+    /// Its best place.
+    pub place: SiteNames,
+    /// Logarithm of the chance of it in noise, over all its places and shapes and all effects.
+    pub ln_p: f64,
+    /// Twice the log likelihood that it gains.
+    pub ratio: f64,
+    /// The share of it that calibration does not absorb.
+    pub visible: f64,
 }
 
 /// What is significant and has no name.
@@ -127,6 +145,8 @@ pub struct Discovery {
     pub search: Search,
     /// What was named.
     pub findings: Vec<Finding>,
+    /// Each effect's test against what the baseline leaves, the least likely to be noise first.
+    pub tests: Vec<Test>,
     /// Geometry and growth.
     pub baseline: Level,
     /// With all that was found.
@@ -177,6 +197,22 @@ const FALSE_REST: f64 = 0.003;
 /// # Errors
 /// What calibration refuses, and runs too small to judge.
 pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<Discovery, DiscoveryError> {
+    discover_in_steps(robot, run, request, &|| ())
+}
+
+/// Steps of a discovery, more where points come back that were set aside.
+pub const STEPS: u64 = 5;
+
+/// Examines a run. `done` is called after every one of its [`STEPS`].
+///
+/// # Errors
+/// What calibration refuses, and runs too small to judge.
+pub fn discover_in_steps(
+    robot: &Robot,
+    run: &Run,
+    request: &DiscoveryRequest,
+    done: &(dyn Fn() + Sync),
+) -> Result<Discovery, DiscoveryError> {
     let (mut labelled, swaps) = put_labels_right(robot, run, &request.calibration).map_err(CalibrationError::from)?;
     let examined = examine(robot, &labelled);
     if let Some(log) = examined.corrected {
@@ -189,8 +225,8 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
         let unknowns = positional(&calibration.joint.unknowns);
         let beginning = Point { state: calibration.state.clone(), effects: Vec::new() };
         let campaign = &calibration.campaign;
-        let found =
-            search(campaign, &mut scene, beginning.clone(), &unknowns, request.seed).ok_or(DiscoveryError::TooSmall)?;
+        let found = search(campaign, &mut scene, beginning.clone(), &unknowns, request.seed, &done)
+            .ok_or(DiscoveryError::TooSmall)?;
         // What is plainly wrong is told last: what an effect explains comes back, and what only an effect hid goes.
         let last = &found.last.point;
         let wrong = match last.effects.is_empty() || again == 0 {
@@ -207,6 +243,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
         set_aside = wrong;
         again -= 1;
     };
+    done();
     let campaign = calibration.campaign.clone();
     let mut findings = gross_findings(&swaps, &set_aside, run);
     findings.extend(examined.faults.into_iter().map(of_readings));
@@ -245,9 +282,10 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
             }
         }
     }
+    done();
     for (place, named) in found.named.iter().enumerate() {
         let instance = &found.last.point.effects[place];
-        if is_pattern(instance) {
+        if is_pattern(instance.effect) {
             continue;
         }
         let bounds: Vec<(usize, f64, f64)> =
@@ -257,6 +295,22 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
             place: instance.site.named(&campaign.chain, &campaign.sensors, &campaign.targets),
             ln_p: named.ln_p,
             parameters: estimates(instance, &found.last.covariances[place], &bounds),
+            separate_by: named.rivals.iter().find(|rival| is_close(&named.score, rival)).and_then(|rival| {
+                separated_by(
+                    &Doubt {
+                        robot,
+                        run: &labelled,
+                        calibration: &calibration,
+                        campaign: &campaign,
+                        scene: &scene,
+                        unknowns: &unknowns,
+                        fitted: &found.last,
+                        floor_m: floor(&found.last.stage, &found.last.strata),
+                    },
+                    place,
+                    &rival.instance,
+                )
+            }),
             alternatives: alternatives(&campaign, &named.score, &named.rivals),
             cost_rms_mm: cost(&campaign, &scene, &found.last, place),
             gain: steps.get(place).copied().flatten(),
@@ -278,6 +332,15 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
     let noise = found.last.strata.clone();
     let floor_rms_mm = floor(&found.last.stage, &noise) * 1e3;
     let notes = calibration.notes.clone();
+    let test = |score: &Score| Test {
+        effect: score.instance.effect.name(),
+        place: score.instance.site.named(&campaign.chain, &campaign.sensors, &campaign.targets),
+        ln_p: found.trials.over_all(&score.instance, score.ln_p),
+        ratio: score.ratio,
+        visible: score.visible,
+    };
+    let tests = found.tests.iter().map(test).collect();
+    done();
     Ok(Discovery {
         notes,
         noise_um: noise.point * sigma * 1e6,
@@ -287,6 +350,7 @@ pub fn discover(robot: &Robot, run: &Run, request: &DiscoveryRequest) -> Result<
         baseline,
         extended,
         findings,
+        tests,
         search: found,
         campaign,
         scene,
@@ -349,7 +413,7 @@ pub fn scene_of(calibration: &Calibration, run: &Run) -> Scene {
 }
 
 /// The scene of the visits of a campaign of a run.
-fn scene_over(campaign: &Campaign, calibration: &Calibration, run: &Run) -> Scene {
+pub(super) fn scene_over(campaign: &Campaign, calibration: &Calibration, run: &Run) -> Scene {
     let seen = campaign.visits.iter().map(|visit| Seen {
         place: visit.place,
         joints: visit.posture.positions(),
@@ -399,6 +463,7 @@ fn bare(effect: &'static str, place: SiteNames, ln_p: f64) -> Finding {
         points: Vec::new(),
         instance: None,
         evidence: None,
+        separate_by: None,
     }
 }
 
@@ -448,10 +513,15 @@ fn gross_findings(swaps: &[Swap], set_aside: &[Outlier], run: &Run) -> Vec<Findi
     findings
 }
 
+/// Whether a rival explains about as much, and has a name.
+fn is_close(own: &Score, rival: &Score) -> bool {
+    !is_pattern(rival.instance.effect) && rival.ln_p < own.ln_p + CLOSE
+}
+
 fn alternatives(campaign: &Campaign, own: &Score, rivals: &[Score]) -> Vec<Alternative> {
     rivals
         .iter()
-        .filter(|rival| !is_pattern(&rival.instance) && rival.ln_p < own.ln_p + CLOSE)
+        .filter(|rival| is_close(own, rival))
         .take(TOLD)
         .map(|rival| Alternative {
             effect: rival.instance.effect.name(),
@@ -495,7 +565,7 @@ fn rest(campaign: &Campaign, scene: &Scene, found: &Search, baseline_rms_mm: f64
     let of_baseline = |square: f64| (square / baseline_rms_mm.powi(2)).min(1.0);
     for (place, named) in found.named.iter().enumerate() {
         let instance = &found.last.point.effects[place];
-        if is_pattern(instance) {
+        if is_pattern(instance.effect) {
             ln_p = ln_p.min(named.ln_p);
             // Calibration absorbs the rest of what it moves the targets by.
             let square = named.score.visible * cost(campaign, scene, &found.last, place).powi(2);

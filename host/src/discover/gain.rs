@@ -13,8 +13,8 @@ use crate::model::ErrorTally;
 /// One fold: the places of the visits that are held out.
 pub type Fold = Vec<usize>;
 
-/// Parts into which poses and cycles are split, and poses alone where there is one cycle.
-const PARTS: usize = 3;
+/// Parts into which cycles and poses are split: a pose that is held out takes more of what tells the geometry with it.
+const PARTS_OF_CYCLES: usize = 3;
 const PARTS_OF_POSES: usize = 5;
 
 /// Folds by whole poses and by whole cycles, as far as there are enough of them. Neighbouring cycles are alike and are held
@@ -33,9 +33,8 @@ pub fn folds(campaign: &Campaign) -> Vec<Fold> {
         };
         (0..parts).map(|own| (0..campaign.visits.len()).filter(|&place| part(key(place)) == own).collect()).collect()
     };
-    let by_cycle = split(&|place| campaign.visits[place].cycle, PARTS, false);
-    let parts = if by_cycle.is_empty() { PARTS_OF_POSES } else { PARTS };
-    let mut all = split(&|place| campaign.visits[place].pose, parts, true);
+    let by_cycle = split(&|place| campaign.visits[place].cycle, PARTS_OF_CYCLES, false);
+    let mut all = split(&|place| campaign.visits[place].pose, PARTS_OF_POSES, true);
     all.extend(by_cycle);
     all
 }

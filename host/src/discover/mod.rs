@@ -11,12 +11,15 @@ pub mod gain;
 mod gross;
 mod noise;
 pub mod normal;
+mod postures;
 pub mod readings;
 pub mod search;
+mod separate;
 pub mod stage;
 
 pub use discovery::{
-    Alternative, Discovery, DiscoveryError, DiscoveryRequest, Finding, Gain, Level, Unexplained, discover,
+    Alternative, Discovery, DiscoveryError, DiscoveryRequest, Finding, Gain, Level, Part, STEPS, Test, Unexplained,
+    discover, discover_in_steps,
 };
 pub use estimate::Estimate;
 pub use gross::{Outlier, Swap};

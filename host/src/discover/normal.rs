@@ -367,6 +367,35 @@ impl<'a> Normal<'a> {
         Self { white, system, products, drawn, drawn_right }
     }
 
+    /// The products of one place's unit amounts, a column for each posture. Those among themselves are diagonal.
+    pub fn cross_at_postures(&self, place: usize) -> Cross {
+        let layout = self.system.layout;
+        let (own, joints) = (layout.nuisance, layout.joints);
+        let (draws, postures) = (self.drawn_right.ncols(), self.white.stage.postures);
+        let mut cross = Cross {
+            with: DMatrix::zeros(layout.count(), postures),
+            own: DMatrix::zeros(postures, postures),
+            response: DVector::zeros(postures),
+            drawn: DMatrix::zeros(postures, draws),
+        };
+        for (visit, block) in self.white.stage.blocks.iter().enumerate() {
+            let rank = block.posture;
+            let product = self.products[visit].column(place);
+            let mut with = cross.with.column_mut(rank);
+            with.rows_mut(0, own).axpy(1.0, &product.rows(0, own), 1.0);
+            for shared in layout.shared(block) {
+                with.rows_mut(shared, joints).axpy(1.0, &product.rows(own, joints), 1.0);
+            }
+            cross.response[rank] += product[own + joints];
+            cross.own[(rank, rank)] += self.white.blocks[visit].places.column(place).norm_squared();
+            if draws > 0 {
+                let mut drawn = cross.drawn.row_mut(rank);
+                drawn += self.drawn[visit].column(place).transpose();
+            }
+        }
+        cross
+    }
+
     /// The products of an hypothesis' columns.
     pub fn cross(&self, columns: &[Column]) -> Cross {
         let layout = self.system.layout;

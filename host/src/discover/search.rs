@@ -1,7 +1,7 @@
 //! The search: one effect after another, each confirmed in the presence of the others, dropped when they make it needless,
 //! and exchanged where another explains more in its place.
 
-use super::candidates::{Candidate, Rivals, Score, Trials, candidates, refine, score, trials};
+use super::candidates::{Candidate, Rivals, Score, Trials, candidates, is_pattern, refine, score, trials};
 use super::fit::{EffectCovariance, Fit, fit};
 use super::normal::{Normal, Whitened};
 use super::stage::Point;
@@ -19,6 +19,8 @@ pub struct Search {
     pub named: Vec<Named>,
     /// How many tests the search amounts to.
     pub trials: Trials,
+    /// The best candidate of each effect on top of the baseline, the least likely to be noise first.
+    pub tests: Vec<Score>,
 }
 
 /// An effect that was found.
@@ -34,8 +36,10 @@ pub struct Named {
     pub between: Option<(f64, f64)>,
 }
 
-/// The chance of a false name over a whole run that is allowed to the search.
+/// The chance of a false name over a whole run that is allowed to the search for a first effect, and for each one after it:
+/// what the fit of an effect's form leaves is more than noise.
 const FALSE_NAME: f64 = 0.005;
+const FALSE_NEXT: f64 = 0.0005;
 
 /// Effects that are looked for at most.
 const MOST_EFFECTS: usize = 24;
@@ -52,18 +56,13 @@ const HANDICAP: f64 = 4.0;
 /// How many of the best are looked at between the points of their grids.
 const LOOKED_AT: usize = 6;
 
-/// Whether it is a pattern outside the catalogue.
-pub fn is_pattern(instance: &Instance) -> bool {
-    instance.effect.name() == "unexplained"
-}
-
 /// The scores of all candidates on top of a fit, best first; patterns with their handicap.
 pub fn scores(fit: &Fit, scene: &Scene, all: &[Candidate], trials: &Trials) -> Vec<Score> {
     let white = Whitened::new(&fit.stage, &fit.strata);
     let normal = Normal::new(&white, &fit.strata);
     let rivals = Rivals::new(&normal, &fit.strata);
     let mut best = score(&normal, &rivals, scene, all, trials);
-    let level = |score: &Score| score.ln_p + if is_pattern(&score.instance) { HANDICAP } else { 0.0 };
+    let level = |score: &Score| score.ln_p + if is_pattern(score.instance.effect) { HANDICAP } else { 0.0 };
     best.sort_by(|a, b| level(a).total_cmp(&level(b)));
     for place in 0..best.len().min(LOOKED_AT) {
         best[place] = refine(&normal, &rivals, scene, &best[place], trials);
@@ -76,11 +75,11 @@ pub fn scores(fit: &Fit, scene: &Scene, all: &[Candidate], trials: &Trials) -> V
 const ALLOWED_DROP: f64 = 3.84;
 
 /// Between which visits a step lies with 95 % confidence.
-fn step_between(without: &Fit, scene: &Scene, own: &Instance) -> Option<(f64, f64)> {
+fn step_between(without: &Fit, scene: &Scene, own: &Instance, trials: &Trials) -> Option<(f64, f64)> {
     let white = Whitened::new(&without.stage, &without.strata);
     let normal = Normal::new(&white, &without.strata);
     let rivals = Rivals::new(&normal, &without.strata);
-    let profile = super::candidates::step_profile(&normal, &rivals, scene, own);
+    let profile = super::candidates::step_profile(&normal, &rivals, scene, own, trials);
     let best = profile.iter().map(|(_, _, ratio, _)| *ratio).fold(0.0, f64::max);
     let near: Vec<_> = profile.iter().filter(|(_, _, ratio, _)| *ratio > best - ALLOWED_DROP).collect();
     Some((near.first()?.0, near.last()?.1))
@@ -93,19 +92,32 @@ fn left<'a>(all: &'a [Candidate], effects: &'a [Instance]) -> Vec<Candidate> {
             own.effect.name() == candidate.effect.name()
                 && own.site == candidate.site
                 // A joint may err in more than one way that has no name.
-                && !is_pattern(own)
+                && !is_pattern(own.effect)
         })
     };
     all.iter().filter(|candidate| !has(candidate)).cloned().collect()
 }
 
 /// Searches for effects on top of a calibrated model.
-pub fn search(campaign: &Campaign, scene: &mut Scene, start: Point, unknowns: &[Unknown], seed: u64) -> Option<Search> {
+/// `done` is called twice as it goes on.
+pub fn search(
+    campaign: &Campaign,
+    scene: &mut Scene,
+    start: Point,
+    unknowns: &[Unknown],
+    seed: u64,
+    done: &dyn Fn(),
+) -> Option<Search> {
     let baseline = fit(campaign, scene, start, unknowns, None)?;
     let all = candidates(scene);
     let trials = trials(&baseline.stage, &baseline.strata, scene, &all, seed);
+    let mut tests = scores(&baseline, scene, &all, &trials);
+    let mut seen = std::collections::BTreeSet::new();
+    tests.retain(|score| seen.insert(score.instance.effect.name()));
+    done();
     let last = climb(campaign, scene, baseline.clone(), unknowns, &all, &trials);
-    let mut search = Search { baseline, last, named: Vec::new(), trials };
+    done();
+    let mut search = Search { baseline, last, named: Vec::new(), trials, tests };
     search.judge(campaign, scene, unknowns, &all);
     Some(search)
 }
@@ -119,14 +131,16 @@ pub fn climb(
     all: &[Candidate],
     trials: &Trials,
 ) -> Fit {
-    let limit = FALSE_NAME.ln();
     let mut last = from;
     // Effects that take turns in driving each other out would be added and dropped for ever.
     let mut seen: Vec<Vec<Instance>> = Vec::new();
     while last.point.effects.len() < MOST_EFFECTS {
+        let limit = if last.point.effects.is_empty() { FALSE_NAME.ln() } else { FALSE_NEXT.ln() };
         super::fit::update_growth(scene, campaign, &last.point);
         let scores = scores(&last, scene, &left(all, &last.point.effects), trials);
-        let Some(best) = scores.first().filter(|best| trials.over_all(best.ln_p) < limit) else { break };
+        let Some(best) = scores.first().filter(|best| trials.over_all(&best.instance, best.ln_p) < limit) else {
+            break;
+        };
         let mut point = last.point.clone();
         point.effects.push(best.instance.clone());
         let Some(next) = fit(campaign, scene, point, unknowns, None) else { break };
@@ -170,8 +184,9 @@ fn prune(campaign: &Campaign, scene: &mut Scene, mut fitted: Fit, unknowns: &[Un
             .filter_map(|(place, (effect, covariance))| {
                 let (ratio, freedom) = worth(effect, covariance)?;
                 let candidate = Candidate { effect: effect.effect, site: effect.site.clone() };
-                let ln_p = trials.over_shapes(&candidate, super::chance::ln_chi_square(ratio, freedom), ratio);
-                Some((place, trials.over_all(ln_p)))
+                let ln_p =
+                    trials.over_shapes(&candidate, &effect.shape, super::chance::ln_chi_square(ratio, freedom), ratio);
+                Some((place, trials.over_all(effect, ln_p)))
             })
             .max_by(|a, b| a.1.total_cmp(&b.1));
         let Some((place, _)) = weakest.filter(|(_, ln_p)| *ln_p > FALSE_NAME.ln()) else { break };
@@ -223,8 +238,9 @@ impl Search {
                     }
                 }
                 let rivals = scores.into_iter().filter(|score| !score.instance.same_name(&own)).take(KEPT).collect();
-                let ln_p = self.trials.over_all(mine.ln_p);
-                let between = (!own.effect.is_smooth()).then(|| step_between(&without, scene, &own)).flatten();
+                let ln_p = self.trials.over_all(&own, mine.ln_p);
+                let between =
+                    (!own.effect.is_smooth()).then(|| step_between(&without, scene, &own, &self.trials)).flatten();
                 self.named.push(Named { score: mine, ln_p, rivals, between });
             }
             break;

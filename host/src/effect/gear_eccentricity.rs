@@ -13,6 +13,10 @@ const LOWEST: f64 = 0.5;
 /// The highest harmonic of the output side that is scanned.
 const HIGHEST: f64 = 16.0;
 
+/// The highest harmonic of the motor side that is scanned where robot.toml does not give the gear's ratio: twice a turn of the
+/// motor behind a gear of 200.
+const HIGHEST_OF_MOTOR: f64 = 400.0;
+
 /// Phase between neighbours of the scan at the ends of the joint's range, radians: a wave found between two of them keeps
 /// 98 % of its square.
 const STEP: f64 = 0.45;
@@ -35,18 +39,25 @@ impl Effect for GearEccentricity {
         let step = (STEP / scene.half_range(joint)).min(1.0);
         let mut harmonics = Vec::new();
         let mut harmonic = LOWEST;
-        while harmonic <= HIGHEST {
+        let ratio = scene.gear_ratios[joint].filter(|ratio| ratio.abs() > 1.0);
+        let highest = if ratio.is_some() { HIGHEST } else { HIGHEST_OF_MOTOR };
+        while harmonic <= highest {
             harmonics.push(harmonic);
             harmonic += step;
         }
         // What turns a whole number of times is the likeliest, and worth being met exactly.
         harmonics.extend((1..=HIGHEST as usize).map(|whole| whole as f64));
-        if let Some(ratio) = scene.gear_ratios[joint].filter(|ratio| ratio.abs() > 1.0) {
+        if let Some(ratio) = ratio {
             harmonics.extend(MOTOR_MULTIPLES.iter().map(|multiple| multiple * ratio.abs()));
         }
         harmonics.sort_by(f64::total_cmp);
         harmonics.dedup();
         harmonics.into_iter().map(|harmonic| vec![harmonic]).collect()
+    }
+
+    /// The motor's side is another family than the output's.
+    fn family(&self, shape: &[f64]) -> u8 {
+        u8::from(shape[0] > HIGHEST)
     }
 
     fn terms(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Vec<Term> {

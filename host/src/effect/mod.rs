@@ -99,6 +99,12 @@ pub trait Effect: Sync {
         vec![0.0; shape.len()]
     }
 
+    /// Which of several families of shapes a shape belongs to. Families are held against noise each by itself, so that a long
+    /// scan of the unlikely does not cost the likely its power.
+    fn family(&self, _shape: &[f64]) -> u8 {
+        0
+    }
+
     /// Whether its terms change smoothly with its nonlinear numbers; a step in time does not.
     fn is_smooth(&self) -> bool {
         true

@@ -39,13 +39,24 @@ mod kind {
     pub const DIRECTION: f64 = 12.0;
     /// The torque of another joint.
     pub const TORQUE: f64 = 13.0;
-    /// Time to a power.
+    /// Legendre's polynomial of time, by its degree.
     pub const TIME: f64 = 14.0;
     /// The air's temperature.
     pub const AIR: f64 = 15.0;
     /// A wave in time, periods a run; with its quarter.
     pub const WAVE: f64 = 16.0;
+    /// Another joint's angle, waves a turn: cosine and sine.
+    pub const WAVE_OF: f64 = 17.0;
+    /// The joint's direction times the speed override before the visit.
+    pub const DIRECTION_SPEED: f64 = 18.0;
+    /// The instrument's scale by Legendre's polynomial of time.
+    pub const SCALE_TIME: f64 = 19.0;
+    /// The instrument's scale by a wave in time; with its quarter.
+    pub const SCALE_WAVE: f64 = 20.0;
 }
+
+/// Most waves a turn of another joint that are tried.
+const MOST_WAVES: usize = 6;
 
 fn span(scene: &Scene) -> f64 {
     let (first, last) = scene.span_s();
@@ -84,9 +95,19 @@ fn amounts(scene: &Scene, joint: usize, shape: &[f64]) -> Vec<f64> {
         kind::DIRECTION_RISE => times(scene.by_visit(|visit| visit.approach[joint]), rise(scene, shape[2])),
         kind::ANGLE_CUBED => scene.by_visit(|visit| visit.joints[of(1)].powi(3)),
         kind::DIRECTION => scene.by_visit(|visit| visit.approach[of(1)]),
+        kind::DIRECTION_SPEED => {
+            let speeds = scene.by_visit(|visit| override_before(scene, visit.time_s));
+            times(scene.by_visit(|visit| visit.approach[joint]), speeds)
+        }
         kind::TORQUE => scene.by_visit(|visit| visit.torques[of(1)]),
         _ => in_time(scene, shape),
     }
+}
+
+/// The speed override of the last movement before a time.
+fn override_before(scene: &Scene, time_s: f64) -> f64 {
+    let moved = |step: &&crate::run::MotionStep| step.phase == crate::run::Phase::Move && step.start_s < time_s;
+    scene.motion.iter().rfind(moved).map_or(0.0, |step| step.speed_override)
 }
 
 /// What depends on time alone, without or with a quarter of a wave's shift.
@@ -94,7 +115,16 @@ fn in_time(scene: &Scene, shape: &[f64]) -> Vec<f64> {
     let span = span(scene);
     let share = |time: f64| (time - scene.origin_s) / span;
     match shape[0] {
-        kind::TIME => scene.by_visit(|visit| share(visit.time_s).powf(shape[1])),
+        // Legendre's polynomials: each is what the ones before it cannot make.
+        kind::TIME | kind::SCALE_TIME => scene.by_visit(|visit| {
+            let x = 2.0 * share(visit.time_s) - 1.0;
+            match shape[1] as u32 {
+                0 | 1 => x,
+                2 => 1.5 * x * x - 0.5,
+                3 => 2.5 * x * x * x - 1.5 * x,
+                _ => (35.0 * x.powi(4) - 30.0 * x * x + 3.0) / 8.0,
+            }
+        }),
         kind::AIR => scene.air_rises().unwrap_or_else(|| vec![0.0; scene.visits.len()]),
         _ => scene.by_visit(|visit| {
             let phase = std::f64::consts::TAU * (shape[1] * share(visit.time_s) + 0.25 * shape[2]);
@@ -123,7 +153,8 @@ impl Effect for Pattern {
         let links = scene.sensed_links();
         let mut shapes = Vec::new();
         let in_time = || {
-            let mut shapes: Vec<Vec<f64>> = [1.0, 2.0, 3.0].iter().map(|&power| vec![kind::TIME, power, 0.0]).collect();
+            let mut shapes: Vec<Vec<f64>> =
+                [1.0, 2.0, 3.0, 4.0].iter().map(|&power| vec![kind::TIME, power, 0.0]).collect();
             if scene.air.is_some() {
                 shapes.push(vec![kind::AIR, 0.0, 0.0]);
             }
@@ -134,9 +165,20 @@ impl Effect for Pattern {
         };
         let Some(joint) = site.joint else {
             let mut shapes = in_time();
-            // A straight line of the base in time is a drift, and has its name.
-            if site.parameter.is_none() {
-                shapes.retain(|shape| *shape != [kind::TIME, 1.0, 0.0]);
+            match site.parameter {
+                // What a load does to a link about an axis that is no joint's.
+                Some(_) if scene.masses_known => {
+                    shapes.extend((0..joints).map(|joint| vec![kind::TORQUE, joint as f64, 0.0]));
+                }
+                Some(_) => {}
+                None => {
+                    // A straight line of the base in time is a drift, and has its name.
+                    shapes.retain(|shape| *shape != [kind::TIME, 1.0, 0.0]);
+                    shapes.extend((1..=4).map(|power| vec![kind::SCALE_TIME, f64::from(power), 0.0]));
+                    for periods in 1..=3 {
+                        shapes.extend([0.0, 1.0].map(|quarter| vec![kind::SCALE_WAVE, f64::from(periods), quarter]));
+                    }
+                }
             }
             return shapes;
         };
@@ -156,6 +198,9 @@ impl Effect for Pattern {
             shapes.extend(links.iter().map(|&link| vec![kind::ANGLE_RISE, a as f64, link as f64]));
             if a != joint {
                 shapes.push(vec![kind::DIRECTION, a as f64, 0.0]);
+                if scene.revolute[a] {
+                    shapes.extend((1..=MOST_WAVES).map(|waves| vec![kind::WAVE_OF, a as f64, waves as f64]));
+                }
                 if scene.masses_known {
                     shapes.push(vec![kind::TORQUE, a as f64, 0.0]);
                 }
@@ -171,14 +216,37 @@ impl Effect for Pattern {
             shapes.extend(links.iter().map(|&link| vec![kind::TORQUE_RISE, 0.0, link as f64]));
         }
         shapes.push(vec![kind::DIRECTION_ANGLE, 0.0, 0.0]);
+        let mut speeds: Vec<f64> = scene.by_visit(|visit| override_before(scene, visit.time_s));
+        speeds.dedup();
+        if speeds.len() > 2 {
+            shapes.push(vec![kind::DIRECTION_SPEED, 0.0, 0.0]);
+        }
         shapes.extend(links.iter().map(|&link| vec![kind::DIRECTION_RISE, 0.0, link as f64]));
         shapes
     }
 
+    /// Each kind of covariate is a family.
+    fn family(&self, shape: &[f64]) -> u8 {
+        shape[0] as u8
+    }
+
     fn terms(&self, scene: &Scene, site: &Site, shape: &[f64]) -> Vec<Term> {
         match (site.joint, site.parameter) {
+            (Some(joint), _) if shape[0] == kind::WAVE_OF => {
+                let other = (shape[1] as usize).min(scene.chain.joint_count().saturating_sub(1));
+                let wave = |of: fn(f64) -> f64| {
+                    vec![Acts::Joint(joint, scene.by_visit(|visit| of(shape[2] * visit.joints[other])))]
+                };
+                vec![wave(libm::cos), wave(libm::sin)]
+            }
             (Some(joint), _) => vec![vec![Acts::Joint(joint, amounts(scene, joint, shape))]],
+            (None, Some(place)) if shape[0] == kind::TORQUE => {
+                vec![vec![Acts::Parameter(place, amounts(scene, 0, shape))]]
+            }
             (None, Some(place)) => vec![vec![Acts::Parameter(place, in_time(scene, shape))]],
+            (None, None) if [kind::SCALE_TIME, kind::SCALE_WAVE].contains(&shape[0]) => {
+                vec![vec![Acts::Scale(in_time(scene, shape))]]
+            }
             (None, None) => {
                 let amounts = in_time(scene, shape);
                 (0..6).map(|axis| vec![Acts::World(axis, amounts.clone())]).collect()
@@ -193,9 +261,9 @@ impl Effect for Pattern {
     fn form(&self, site: &Site) -> Form {
         let form = Form::whole().shape(3..=3);
         match (site.joint, site.parameter) {
-            (Some(_), _) => form.joint(),
+            (Some(_), _) => form.joint().coefficients(1..=2),
             (None, Some(_)) => form.parameter(),
-            (None, None) => form.coefficients(6..=6),
+            (None, None) => form.coefficients(1..=6),
         }
     }
 
@@ -204,7 +272,7 @@ impl Effect for Pattern {
     }
 
     fn is_of_run_with(&self, shape: &[f64]) -> bool {
-        [kind::TIME, kind::WAVE, kind::ANGLE_TIME].contains(&shape[0])
+        [kind::TIME, kind::WAVE, kind::ANGLE_TIME, kind::SCALE_TIME, kind::SCALE_WAVE].contains(&shape[0])
     }
 
     fn lacks(&self, scene: &Scene, _: &Site, shape: &[f64]) -> Option<&'static str> {
@@ -235,14 +303,19 @@ pub fn follows(scene: &Scene, site: &Site, shape: &[f64]) -> Vec<String> {
         kind::ANGLE_CUBED => vec![format!("{} cubed", angle(1))],
         kind::DIRECTION => vec![format!("direction of approach of joint {}", shape[1] as usize + 1)],
         kind::TORQUE => vec![format!("gravity torque about joint {}", shape[1] as usize + 1)],
-        kind::TIME if shape[1] == 1.0 => vec!["time".to_owned()],
-        kind::TIME => vec![format!("time to the power of {}", shape[1])],
+        kind::WAVE_OF => vec![format!("{} waves a turn of the {}", shape[2], angle(1))],
+        kind::DIRECTION_SPEED => vec![own("direction of approach"), "speed of the movement before".to_owned()],
+        kind::TIME | kind::SCALE_TIME if shape[1] == 1.0 => vec!["time".to_owned()],
+        kind::TIME | kind::SCALE_TIME => vec![format!("time to the power of {}", shape[1])],
         kind::AIR => vec!["temperature of the air".to_owned()],
         _ => vec![format!("time, {} waves a run", shape[1])],
     };
     words.push(match (site.joint, site.parameter) {
         (Some(joint), _) => format!("as an error of joint {}", joint + 1),
         (None, Some(place)) => format!("as a change of {}", scene.chain.parameters()[place]),
+        (None, None) if [kind::SCALE_TIME, kind::SCALE_WAVE].contains(&shape[0]) => {
+            "as the instrument's scale".to_owned()
+        }
         (None, None) => "as a motion between instrument and base".to_owned(),
     });
     words

@@ -53,10 +53,6 @@ impl Effect for SensorDetached {
         }
     }
 
-    fn of_readings(&self) -> bool {
-        true
-    }
-
     fn is_plausible(&self, _: &[f64], coefficients: &[f64]) -> bool {
         coefficients[0] > 0.0
     }

@@ -23,8 +23,9 @@ pub struct Floor {
     pub baseline_poses: f64,
 }
 
-/// Folds of either kind.
-const FOLDS: usize = 5;
+/// Folds of poses, in turn, and of cycles, neighbours together.
+const OF_POSES: usize = 5;
+const OF_CYCLES: usize = 3;
 
 /// The floors of a run; gross errors are taken out.
 pub fn floor(case: &Case) -> Floor {
@@ -56,17 +57,19 @@ pub fn floor(case: &Case) -> Floor {
     let about_truth = errors(&clean.copied().collect());
     let about_none = errors(&world.positions(&Influence::default(), &[]));
     let columns: Vec<Vec<Vector3<f64>>> = influences.iter().map(|one| oracle.displacements(one)).collect();
-    let cycle = |p: usize| world.schedule.visits[world.points[p].visit].cycle;
-    let pose = |p: usize| world.schedule.visits[world.points[p].visit].pose;
+    let visit = |p: usize| &world.schedule.visits[world.points[p].visit];
+    let cycles = world.schedule.visits.iter().map(|visit| visit.cycle + 1).max().unwrap_or(1);
+    let cycle = |p: usize| visit(p).cycle * OF_CYCLES / cycles;
+    let pose = |p: usize| visit(p).pose % OF_POSES;
     let data = Data { oracle: &oracle, seen: &seen, columns: &columns };
     let square: f64 = (0..seen.len()).filter(|&p| seen[p]).map(|p| about_truth[p].norm_squared()).sum();
     let count = seen.iter().filter(|seen| **seen).count() as f64;
     Floor {
         known: libm::sqrt(square / count),
-        cycles: data.held_out(&about_truth, columns.len(), cycle),
-        poses: data.held_out(&about_truth, columns.len(), pose),
-        baseline_cycles: data.held_out(&about_none, baseline, cycle),
-        baseline_poses: data.held_out(&about_none, baseline, pose),
+        cycles: data.held_out(&about_truth, columns.len(), OF_CYCLES, cycle),
+        poses: data.held_out(&about_truth, columns.len(), OF_POSES, pose),
+        baseline_cycles: data.held_out(&about_none, baseline, OF_CYCLES, cycle),
+        baseline_poses: data.held_out(&about_none, baseline, OF_POSES, pose),
     }
 }
 
@@ -77,11 +80,11 @@ struct Data<'a> {
 }
 
 impl Data<'_> {
-    /// Held-out error of a linear fit of the first columns, by folds of a key.
-    fn held_out(&self, errors: &[Vector3<f64>], unknowns: usize, key: impl Fn(usize) -> usize) -> f64 {
+    /// Held-out error of a linear fit of the first columns, by the folds that points belong to.
+    fn held_out(&self, errors: &[Vector3<f64>], unknowns: usize, folds: usize, of: impl Fn(usize) -> usize) -> f64 {
         let (mut square, mut count) = (0.0, 0.0);
-        for fold in 0..FOLDS {
-            let held = |p: usize| key(p) % FOLDS == fold;
+        for fold in 0..folds {
+            let held = |p: usize| of(p) == fold;
             let solution = self.fit(errors, unknowns, |p| !held(p));
             for p in (0..self.seen.len()).filter(|&p| self.seen[p] && held(p)) {
                 let mut left = errors[p];

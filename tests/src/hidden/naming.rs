@@ -238,9 +238,9 @@ fn name(
             library = Library::new(white, &nuisance);
         }
         let weights = library.weigh(&residual, rho);
-        let (best, weight) = (0..searched.len()).map(|c| (c, weights[c])).fold((0, f64::NEG_INFINITY), |a, b| {
-            if b.1 > a.1 { b } else { a }
-        });
+        let (best, weight) = (0..searched.len())
+            .map(|c| (c, weights[c]))
+            .fold((0, f64::NEG_INFINITY), |a, b| if b.1 > a.1 { b } else { a });
         if weight <= threshold {
             break;
         }
