@@ -114,9 +114,7 @@ impl Examined {
     fn intervals(&self) -> (usize, usize) {
         let (mut held, mut all) = (0, 0);
         for finding in &self.discovery.findings {
-            let is_it = |effect: &&Value| {
-                effect["effect"] == finding.effect && effect["where"].to_string() == json!(finding.place).to_string()
-            };
+            let is_it = |effect: &&Value| effect["effect"] == finding.effect && effect["where"] == json!(finding.place);
             let Some(truth) = self.truth.iter().find(is_it) else { continue };
             for estimate in finding.parameters.iter().filter(|estimate| estimate.low < estimate.high) {
                 let Some(value) = truth["parameters"][&estimate.name].as_f64() else { continue };

@@ -47,6 +47,9 @@ const MOST_EFFECTS: usize = 24;
 /// Exchanges at most: rivals that fit alike would change places for long.
 const MOST_EXCHANGES: usize = 3;
 
+/// An exchange must be better by this, in log evidence.
+const LEAST_BETTER: f64 = 0.5;
+
 /// Rivals that are kept.
 const KEPT: usize = 12;
 
@@ -229,8 +232,11 @@ impl Search {
                 {
                     let mut point = without.point.clone();
                     point.effects.insert(place, best.instance.clone());
-                    if let Some(next) = fit(campaign, scene, point, unknowns, None)
-                        .filter(|next| next.log_likelihood > self.last.log_likelihood + 1.0)
+                    // What the rival gains by having fewer numbers and shapes counts beside what it fits.
+                    let simpler = (mine.ln_p - best.ln_p) - 0.5 * (best.ratio - mine.ratio);
+                    let least = self.last.log_likelihood - simpler + LEAST_BETTER;
+                    if let Some(next) =
+                        fit(campaign, scene, point, unknowns, None).filter(|next| next.log_likelihood > least)
                     {
                         exchanges += 1;
                         self.last = climb(campaign, scene, next, unknowns, all, &self.trials);
