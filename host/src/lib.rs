@@ -4,6 +4,7 @@
 
 pub mod calibrate;
 pub mod cli;
+pub mod compensate;
 pub mod discover;
 pub mod effect;
 pub mod input;

@@ -14,7 +14,7 @@ use super::strata::weighed_growth;
 use super::thermal::{Choice, ChosenBy, PerCycle, choose, per_cycle};
 use super::unknown::{GrowthTerm, State, Unknown};
 use crate::input::InputError;
-use crate::model::{ErrorTally, Errors, Geometry, Growth, Model, ParameterEstimate};
+use crate::model::{CorrectionBounds, ErrorTally, Errors, Geometry, Growth, Model, ParameterEstimate};
 use crate::robot::{ParameterId, Robot};
 use crate::run::Run;
 
@@ -214,6 +214,7 @@ pub fn calibrate(
         temperatures: observed.temperatures,
         anchors: campaign.anchors.clone(),
         estimates,
+        correction_bounds: CorrectionBounds::default(),
         extended: None,
     };
     Ok(Calibration {

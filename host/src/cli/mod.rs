@@ -3,6 +3,7 @@
 mod board;
 mod calibrate;
 mod campaign;
+mod compensate;
 mod demo;
 mod discover;
 mod log;
@@ -36,6 +37,7 @@ enum Command {
     Log(log::Arguments),
     Validate(validate::Arguments),
     Discover(discover::Arguments),
+    Compensate(compensate::Arguments),
     Demo(demo::Arguments),
 }
 
@@ -72,6 +74,7 @@ pub fn main() -> ExitCode {
         Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
         Command::Discover(arguments) => discover::run(arguments),
+        Command::Compensate(arguments) => compensate::run(arguments),
         Command::Demo(arguments) => demo::run(arguments),
     };
     match outcome {

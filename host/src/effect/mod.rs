@@ -20,6 +20,7 @@ mod joint_coupling;
 mod joint_log_early;
 mod lost_motion;
 pub mod pattern;
+mod present;
 mod scale_error;
 mod scene;
 mod sensor_bias;
@@ -42,6 +43,9 @@ pub use instance::{Instance, Named, Readings, Values};
 pub use scene::{Growing, Scene, Seen, Sensed, Situation};
 pub use site::{Site, SiteNames};
 pub use sum::adjustments;
+
+/// The name of what follows a pattern and is in no catalogue.
+pub const UNEXPLAINED: &str = "unexplained";
 
 /// What a unit of one coefficient adds at every visit: usually one act, several where it acts in several places.
 pub type Term = Vec<Acts>;

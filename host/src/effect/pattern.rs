@@ -135,7 +135,7 @@ fn in_time(scene: &Scene, shape: &[f64]) -> Vec<f64> {
 
 impl Effect for Pattern {
     fn name(&self) -> &'static str {
-        "unexplained"
+        super::UNEXPLAINED
     }
 
     fn sites(&self, scene: &Scene) -> Vec<Site> {

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 
 use crate::model::ReferenceTemperature;
-use crate::robot::{Chain, JointKind, Payload, Posture, Robot, gravity_torques};
+use crate::robot::{Chain, JointKind, Payload, Posture, Prepared, Robot, gravity_torques};
 use crate::run::{MotionStep, Phase, Run, TemperatureSeries};
 
 /// One visit as an effect sees it.
@@ -157,7 +157,7 @@ impl Scene {
             })
             .collect();
         let masses_known = !robot.bodies.is_empty();
-        let moments = if masses_known { vec![Vec::new(); joints.len()] } else { moments(robot, &visits, values) };
+        let moments = if masses_known { vec![Vec::new(); joints.len()] } else { moments(robot, &visits, &prepared) };
         let mut unknown = vec![false; targets.len()];
         unknown_targets.iter().for_each(|&target| unknown[target] = true);
         Scene {
@@ -402,9 +402,8 @@ impl Lag {
 }
 
 /// Torques about each joint by unit first moments of the links that it carries.
-fn moments(robot: &Robot, visits: &[Situation], values: &[f64]) -> Vec<Vec<Vec<f64>>> {
+pub(super) fn moments(robot: &Robot, visits: &[Situation], prepared: &Prepared) -> Vec<Vec<Vec<f64>>> {
     let chain = robot.chain();
-    let prepared = chain.prepare(values);
     let joints = chain.joint_count();
     let mut raw: Vec<Vec<Vec<f64>>> = vec![Vec::new(); joints];
     for transform in 1..chain.transform_count() {
@@ -415,7 +414,7 @@ fn moments(robot: &Robot, visits: &[Situation], values: &[f64]) -> Vec<Vec<Vec<f
                 let torque = |center: Vector3<f64>| {
                     let mut probe = robot.clone();
                     probe.bodies = vec![crate::robot::Body { transform, mass_kg: 1.0, center }];
-                    gravity_torques(&probe, &prepared, &posture, None)
+                    gravity_torques(&probe, prepared, &posture, None)
                 };
                 let mut center = Vector3::zeros();
                 center[axis] = 1.0;

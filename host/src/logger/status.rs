@@ -1,5 +1,5 @@
 //! What a logger tells other processes of the boards that it hears: `status.json` beside the log files, written anew every
-//! few seconds. It is for people; nothing in the logger reads it.
+//! few seconds. It is for people and for the compensation of a robot that moves; nothing in the logger reads it.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -48,8 +48,22 @@ pub struct BoardStatus {
     pub records_dropped: u32,
     /// Records told as lost since the logger started.
     pub lost: u64,
+    /// The newest value of each sensor that has given one since the logger started.
+    #[serde(default)]
+    pub sensors: Vec<SensorStatus>,
     /// The new program that is on its way to it, or was.
     pub update: Option<UpdateStatus>,
+}
+
+/// The newest value of a sensor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SensorStatus {
+    /// Its name in robot.toml.
+    pub sensor: String,
+    /// When it was read, in microseconds since 1970.
+    pub at_us: u64,
+    /// Degrees Celsius.
+    pub celsius: f64,
 }
 
 /// How far a board is with a new program.
@@ -142,6 +156,15 @@ impl BoardStatus {
             bus_recoveries: counters.bus_recoveries,
             records_dropped: counters.records_dropped,
             lost: board.lost,
+            sensors: board
+                .labels()
+                .iter()
+                .zip(&board.gauges)
+                .filter_map(|(label, gauge)| {
+                    let (at_us, celsius) = gauge.value()?;
+                    Some(SensorStatus { sensor: label.name.clone(), at_us, celsius })
+                })
+                .collect(),
             update: job.map(|job| UpdateStatus {
                 order: job.order,
                 state: job.words(),

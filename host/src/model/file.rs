@@ -6,6 +6,7 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::bounds::CorrectionBounds;
 use super::extended_file::ExtendedEntry;
 use super::geometry::{Geometry, Growth, Model, ParameterEstimate, ReferenceTemperature};
 use crate::input::InputError;
@@ -31,6 +32,8 @@ struct ModelFile {
     thermal_coefficients: Vec<GrowthEntry>,
     temperatures: Vec<TemperatureEntry>,
     estimates: Vec<EstimateEntry>,
+    #[serde(default)]
+    correction_bounds: CorrectionBounds,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     extended: Option<ExtendedEntry>,
 }
@@ -171,6 +174,7 @@ impl Model {
             thermal_coefficients: growth.collect(),
             temperatures: temperatures.collect(),
             estimates: estimates.collect(),
+            correction_bounds: self.correction_bounds,
             extended: self.extended.as_ref().map(|extended| ExtendedEntry::of(extended, &self.robot)),
         };
         // Strings and finite numbers in plain structures: JSON has no reason to refuse them.
@@ -268,8 +272,12 @@ fn from_file(file: &Path, content: ModelFile, robot: Robot) -> Result<Model, Inp
             highest: entry.highest_c,
         })
         .collect();
+    if let Some(fault) = content.correction_bounds.fault() {
+        return Err(InputError::of_file(file, format!("correction_bounds: {fault}")));
+    }
     let extended = content.extended.map(|entry| entry.read(file, &robot, &reference, &temperatures)).transpose()?;
     Ok(Model {
+        correction_bounds: content.correction_bounds,
         extended,
         nominal: geometry(|entry| entry.aligned, |entry| entry.aligned, |entry| entry.aligned),
         geometric: geometry(|entry| entry.geometric, |entry| entry.geometric, |entry| entry.geometric),

@@ -2,6 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::bounds::CorrectionBounds;
 use super::extended::Extended;
 use crate::robot::{Chain, Frame, ParameterId, Posture, Robot};
 
@@ -106,6 +107,8 @@ pub struct Model {
     pub anchors: Vec<String>,
     /// What was found, with its uncertainty.
     pub estimates: Vec<ParameterEstimate>,
+    /// What a correction by this model may be at most.
+    pub correction_bounds: CorrectionBounds,
     /// What discovery added; none where nothing was found, or nothing was looked for.
     pub extended: Option<Extended>,
 }

@@ -3,12 +3,14 @@
 //!
 //! Knows nothing of how the values were found.
 
+mod bounds;
 mod errors;
 mod extended;
 mod extended_file;
 mod file;
 mod geometry;
 
+pub use bounds::CorrectionBounds;
 pub use errors::{ErrorTally, Errors};
 pub use extended::{Applied, EffectParameter, Extended, ExtendedGrowth, ModelEffect};
 pub use file::{HOW_TO_APPLY, ModelFileError};

@@ -52,6 +52,14 @@ impl Posture {
         Self(joints.iter().map(|&value| JointState { value, sin: libm::sin(value), cos: libm::cos(value) }).collect())
     }
 
+    /// Moves to other joint positions, as many as it has, without another allocation.
+    pub fn set(&mut self, joints: &[f64]) {
+        for (state, &value) in self.0.iter_mut().zip(joints) {
+            let (sin, cos) = libm::sincos(value);
+            *state = JointState { value, sin, cos };
+        }
+    }
+
     /// The joint states in the order of the chain.
     pub fn joints(&self) -> &[JointState] {
         &self.0

@@ -1,6 +1,9 @@
 //! A rigid motion: rotation and origin of one frame seen from another.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+
+/// A quaternion of another length than one by more than this is none of a rotation: a number is missing or misplaced.
+const NOT_UNIT: f64 = 1e-3;
 
 /// A frame seen from another: maps coordinates `p` in it to `rotation * p + origin`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +18,13 @@ impl Frame {
     /// The frame itself.
     pub fn identity() -> Self {
         Self { rotation: Matrix3::identity(), origin: Vector3::zeros() }
+    }
+
+    /// The frame at an origin, m, with the turn of a quaternion; none where that is not of length one, near enough.
+    pub fn from_quaternion(origin: Vector3<f64>, turn: Quaternion<f64>) -> Option<Self> {
+        let unit = (turn.norm() - 1.0).abs() < NOT_UNIT;
+        let rotation = || UnitQuaternion::from_quaternion(turn).to_rotation_matrix().into_inner();
+        unit.then(|| Self { rotation: rotation(), origin })
     }
 
     /// A point of this frame in the outer frame.

@@ -11,7 +11,7 @@ mod motion;
 mod points;
 mod poses;
 mod selection;
-mod table;
+pub(crate) mod table;
 mod temperatures;
 #[cfg(test)]
 mod tests;

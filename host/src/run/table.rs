@@ -12,7 +12,7 @@ use crate::input::InputError;
 ///
 /// Commas separate; semicolons and tabs do where the header splits by them, and numbers may then have a decimal comma,
 /// as spreadsheets of many countries write them.
-pub(super) struct Table<'a> {
+pub(crate) struct Table<'a> {
     head: Head<'a>,
     reader: csv::Reader<&'a [u8]>,
     record: ByteRecord,
@@ -30,11 +30,11 @@ struct Head<'a> {
 }
 
 /// One row of a table.
-pub(super) struct Row<'t> {
+pub(crate) struct Row<'t> {
     head: &'t Head<'t>,
     record: &'t ByteRecord,
     /// Where the row begins, in bytes: [`Table::line_at`] makes a line of it.
-    pub(super) offset: usize,
+    pub(crate) offset: usize,
 }
 
 impl<'a> Table<'a> {
@@ -42,7 +42,7 @@ impl<'a> Table<'a> {
     ///
     /// # Errors
     /// No header, a column twice, or required columns missing, which are named.
-    pub(super) fn open(file: &'a Path, bytes: &'a [u8], required: &[&str]) -> Result<Self, InputError> {
+    pub(crate) fn open(file: &'a Path, bytes: &'a [u8], required: &[&str]) -> Result<Self, InputError> {
         if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
             return Err(InputError::at_line(file, 1, "is UTF-16 text; expected UTF-8 (save it as \"CSV UTF-8\")"));
         }
@@ -94,12 +94,12 @@ impl<'a> Table<'a> {
     }
 
     /// The index of a column.
-    pub(super) fn column(&self, name: &str) -> Option<usize> {
+    pub(crate) fn column(&self, name: &str) -> Option<usize> {
         self.head.names.iter().position(|known| known == name)
     }
 
     /// The index of a column that [`Table::open`] was told to require.
-    pub(super) fn required(&self, name: &str) -> Result<usize, InputError> {
+    pub(crate) fn required(&self, name: &str) -> Result<usize, InputError> {
         self.column(name).ok_or_else(|| self.header_error(format!("the column {name} is missing")))
     }
 
@@ -107,7 +107,7 @@ impl<'a> Table<'a> {
     ///
     /// # Errors
     /// A number left out between 1 and N.
-    pub(super) fn numbered(&self, prefix: &str) -> Result<Vec<usize>, InputError> {
+    pub(crate) fn numbered(&self, prefix: &str) -> Result<Vec<usize>, InputError> {
         let mut numbers: Vec<(usize, usize)> = self
             .head
             .names
@@ -128,7 +128,7 @@ impl<'a> Table<'a> {
     }
 
     /// Says which columns are ignored and how the file differs from the contract's form.
-    pub(super) fn note_form(&self, known: impl Fn(&str) -> bool, notes: &mut Vec<String>) {
+    pub(crate) fn note_form(&self, known: impl Fn(&str) -> bool, notes: &mut Vec<String>) {
         let file = file_name(self.head.file);
         match self.head.separator {
             b';' => notes.push(format!("{file}: read with semicolons between the columns")),
@@ -147,7 +147,7 @@ impl<'a> Table<'a> {
     }
 
     /// Says that numbers were read with a decimal comma, once all rows have been.
-    pub(super) fn note_decimal_comma(&self, notes: &mut Vec<String>) {
+    pub(crate) fn note_decimal_comma(&self, notes: &mut Vec<String>) {
         if self.head.comma_offset.get().is_some() {
             notes.push(format!("{}: numbers read with a decimal comma", file_name(self.head.file)));
         }
@@ -157,7 +157,7 @@ impl<'a> Table<'a> {
     ///
     /// # Errors
     /// A row with more or fewer fields than the header.
-    pub(super) fn next_row(&mut self) -> Result<Option<Row<'_>>, InputError> {
+    pub(crate) fn next_row(&mut self) -> Result<Option<Row<'_>>, InputError> {
         let Some(offset) = self.advance()? else { return Ok(None) };
         let (found, expected) = (self.record.len(), self.head.names.len());
         if found != expected {
@@ -195,17 +195,17 @@ impl<'a> Table<'a> {
     }
 
     /// The line, counted from 1, of a row's offset.
-    pub(super) fn line_at(&self, offset: usize) -> usize {
+    pub(crate) fn line_at(&self, offset: usize) -> usize {
         self.head.line_at(offset)
     }
 
     /// An error at a row's offset.
-    pub(super) fn error_at(&self, offset: usize, message: impl Into<String>) -> InputError {
+    pub(crate) fn error_at(&self, offset: usize, message: impl Into<String>) -> InputError {
         InputError::at_line(self.head.file, self.line_at(offset), message)
     }
 
     /// An error of the header.
-    pub(super) fn header_error(&self, message: impl Into<String>) -> InputError {
+    pub(crate) fn header_error(&self, message: impl Into<String>) -> InputError {
         self.error_at(self.head.header_offset, message)
     }
 }
@@ -230,12 +230,12 @@ impl Row<'_> {
     }
 
     /// Whether a cell is empty.
-    pub(super) fn is_empty(&self, column: usize) -> bool {
+    pub(crate) fn is_empty(&self, column: usize) -> bool {
         self.cell(column).is_empty()
     }
 
     /// A finite number. `expected` says what it stands for, with its unit.
-    pub(super) fn number(&self, column: usize, expected: &str) -> Result<f64, InputError> {
+    pub(crate) fn number(&self, column: usize, expected: &str) -> Result<f64, InputError> {
         let cell = self.cell(column);
         let text = str::from_utf8(cell).unwrap_or_default();
         let parsed = match text.parse::<f64>() {
@@ -272,12 +272,12 @@ impl Row<'_> {
     }
 
     /// A number that may be left empty.
-    pub(super) fn optional_number(&self, column: usize, expected: &str) -> Result<Option<f64>, InputError> {
+    pub(crate) fn optional_number(&self, column: usize, expected: &str) -> Result<Option<f64>, InputError> {
         if self.is_empty(column) { Ok(None) } else { self.number(column, expected).map(Some) }
     }
 
     /// Numbers in several columns, of which either all or none may be empty.
-    pub(super) fn optional_numbers(&self, columns: &[usize], expected: &str) -> Result<Option<Vec<f64>>, InputError> {
+    pub(crate) fn optional_numbers(&self, columns: &[usize], expected: &str) -> Result<Option<Vec<f64>>, InputError> {
         if columns.is_empty() || columns.iter().all(|&column| self.is_empty(column)) {
             return Ok(None);
         }
@@ -285,7 +285,7 @@ impl Row<'_> {
     }
 
     /// A whole number from 0. `3.0` is one as well: tables that had gaps are often saved so.
-    pub(super) fn whole(&self, column: usize) -> Result<u32, InputError> {
+    pub(crate) fn whole(&self, column: usize) -> Result<u32, InputError> {
         let text = str::from_utf8(self.cell(column)).unwrap_or_default();
         if let Ok(value) = text.parse() {
             return Ok(value);
@@ -300,7 +300,7 @@ impl Row<'_> {
     }
 
     /// A name.
-    pub(super) fn name(&self, column: usize, expected: &str) -> Result<&str, InputError> {
+    pub(crate) fn name(&self, column: usize, expected: &str) -> Result<&str, InputError> {
         str::from_utf8(self.cell(column))
             .ok()
             .filter(|name| is_usable_name(name))
@@ -308,25 +308,25 @@ impl Row<'_> {
     }
 
     /// An error about one cell: what was found and what was expected.
-    pub(super) fn unexpected(&self, column: usize, expected: &str) -> InputError {
+    pub(crate) fn unexpected(&self, column: usize, expected: &str) -> InputError {
         let cell = self.cell(column);
         let found = if cell.is_empty() { "nothing".to_owned() } else { format!("\"{}\"", quoted_text(cell)) };
         self.error(format!("column {}: found {found}, expected {expected}", self.head.names[column]))
     }
 
     /// An error about the row.
-    pub(super) fn error(&self, message: impl Into<String>) -> InputError {
+    pub(crate) fn error(&self, message: impl Into<String>) -> InputError {
         InputError::at_line(self.head.file, self.head.line_at(self.offset), message)
     }
 }
 
 /// Whether a name survives being written and read: not empty, no space around it, on one line.
-pub(super) fn is_usable_name(name: &str) -> bool {
+pub(crate) fn is_usable_name(name: &str) -> bool {
     !name.is_empty() && name.trim_ascii() == name && !name.chars().any(char::is_control)
 }
 
 /// The number N of a column called `prefixN`, written as a person would.
-pub(super) fn numbered_suffix(name: &str, prefix: &str) -> Option<usize> {
+pub(crate) fn numbered_suffix(name: &str, prefix: &str) -> Option<usize> {
     let digits = name.strip_prefix(prefix)?;
     let plain = !digits.starts_with('0') && digits.bytes().all(|byte| byte.is_ascii_digit());
     if plain { digits.parse().ok() } else { None }
@@ -367,12 +367,12 @@ fn shortened(text: &str, limit: usize) -> String {
 }
 
 /// The last part of a file's path, by which notes call it.
-pub(super) fn file_name(file: &Path) -> String {
+pub(crate) fn file_name(file: &Path) -> String {
     file.file_name().unwrap_or(file.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// A table being written: commas, line feeds, numbers in full precision.
-pub(super) struct TableWriter {
+pub(crate) struct TableWriter {
     file: PathBuf,
     writer: csv::Writer<Vec<u8>>,
     row: ByteRecord,
@@ -382,7 +382,7 @@ pub(super) struct TableWriter {
 
 impl TableWriter {
     /// Begins a table with its header. `file` only names it in errors.
-    pub(super) fn new(file: PathBuf, header: &[String]) -> Result<Self, WriteError> {
+    pub(crate) fn new(file: PathBuf, header: &[String]) -> Result<Self, WriteError> {
         let writer = csv::WriterBuilder::new().flexible(true).from_writer(Vec::new());
         let row = ByteRecord::from(header.iter().map(String::as_bytes).collect::<Vec<_>>());
         let mut table = Self { file, writer, row, columns: header.len(), line: 0 };
@@ -391,7 +391,7 @@ impl TableWriter {
     }
 
     /// Adds a number to the row.
-    pub(super) fn number(&mut self, value: f64) -> Result<(), WriteError> {
+    pub(crate) fn number(&mut self, value: f64) -> Result<(), WriteError> {
         if !value.is_finite() {
             return Err(self.error(format!("a number is {value}; expected a finite one")));
         }
@@ -400,12 +400,12 @@ impl TableWriter {
     }
 
     /// Adds numbers to the row.
-    pub(super) fn numbers(&mut self, values: &[f64]) -> Result<(), WriteError> {
+    pub(crate) fn numbers(&mut self, values: &[f64]) -> Result<(), WriteError> {
         values.iter().try_for_each(|&value| self.number(value))
     }
 
     /// Adds numbers to the row, or as many empty fields where there are none.
-    pub(super) fn optional_numbers(&mut self, values: Option<&[f64]>, columns: usize) -> Result<(), WriteError> {
+    pub(crate) fn optional_numbers(&mut self, values: Option<&[f64]>, columns: usize) -> Result<(), WriteError> {
         match values {
             Some(values) => self.numbers(values),
             None => {
@@ -416,17 +416,17 @@ impl TableWriter {
     }
 
     /// Adds a whole number to the row.
-    pub(super) fn whole(&mut self, value: i64) {
+    pub(crate) fn whole(&mut self, value: i64) {
         self.row.push_field(value.to_string().as_bytes());
     }
 
     /// Adds empty fields to the row.
-    pub(super) fn empty(&mut self, columns: usize) {
+    pub(crate) fn empty(&mut self, columns: usize) {
         (0..columns).for_each(|_| self.row.push_field(b""));
     }
 
     /// Adds a name to the row.
-    pub(super) fn name(&mut self, name: &str) -> Result<(), WriteError> {
+    pub(crate) fn name(&mut self, name: &str) -> Result<(), WriteError> {
         if !is_usable_name(name) {
             return Err(self.error(format!(
                 "the name \"{}\" cannot be written; expected one line without spaces around it",
@@ -438,7 +438,7 @@ impl TableWriter {
     }
 
     /// Ends the row that the fields were added to.
-    pub(super) fn end_row(&mut self) -> Result<(), WriteError> {
+    pub(crate) fn end_row(&mut self) -> Result<(), WriteError> {
         self.line += 1;
         if self.row.len() != self.columns {
             return Err(self.error(format!("a row has {} fields; expected {}", self.row.len(), self.columns)));
@@ -449,7 +449,7 @@ impl TableWriter {
     }
 
     /// The table's bytes.
-    pub(super) fn finish(self) -> Result<Vec<u8>, WriteError> {
+    pub(crate) fn finish(self) -> Result<Vec<u8>, WriteError> {
         let file = self.file;
         self.writer
             .into_inner()

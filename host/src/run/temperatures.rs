@@ -77,6 +77,16 @@ impl TemperatureLog {
         collector.finish().0
     }
 
+    /// Reads a file of the form of temperatures.csv, wherever it lies; what is odd but usable is said in `notes`.
+    ///
+    /// # Errors
+    /// What is wrong with it, with its line; a file that cannot be read.
+    pub fn read(file: &Path, notes: &mut Vec<String>) -> Result<Self, InputError> {
+        let bytes =
+            std::fs::read(file).map_err(|error| InputError::of_file(file, format!("cannot be read: {error}")))?;
+        parse_file(file, &bytes, notes)
+    }
+
     /// The index of a sensor.
     pub fn index_of(&self, sensor: &str) -> Option<usize> {
         self.sensors.iter().position(|known| known == sensor)
@@ -90,6 +100,29 @@ impl TemperatureLog {
 }
 
 impl TemperatureSeries {
+    /// One reading, which stands for a temperature that has always been so.
+    pub fn constant(time_s: f64, celsius: f64) -> Self {
+        Self { times_s: vec![time_s], celsius: vec![celsius] }
+    }
+
+    /// The readings up to a time.
+    pub fn until(&self, time_s: f64) -> Self {
+        let count = self.times_s.partition_point(|&time| time <= time_s);
+        Self { times_s: self.times_s[..count].to_vec(), celsius: self.celsius[..count].to_vec() }
+    }
+
+    /// Takes in a later reading, and forgets those from before `since_s`; a time that is not later is not taken.
+    pub fn follow(&mut self, time_s: f64, celsius: f64, since_s: f64) {
+        if self.times_s.last().is_some_and(|&last| time_s <= last) {
+            return;
+        }
+        self.times_s.push(time_s);
+        self.celsius.push(celsius);
+        let past = self.times_s.partition_point(|&time| time < since_s);
+        self.times_s.drain(..past);
+        self.celsius.drain(..past);
+    }
+
     /// When the sensor was read, s, ascending.
     pub fn times_s(&self) -> &[f64] {
         &self.times_s
@@ -280,8 +313,11 @@ impl Collector {
 
 /// Reads temperatures.csv.
 pub(super) fn parse(folder: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<TemperatureLog, InputError> {
-    let file = folder.join(FILE);
-    let mut table = Table::open(&file, bytes, &COLUMNS)?;
+    parse_file(&folder.join(FILE), bytes, notes)
+}
+
+fn parse_file(file: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<TemperatureLog, InputError> {
+    let mut table = Table::open(file, bytes, &COLUMNS)?;
     table.note_form(|name| COLUMNS.contains(&name), notes);
     let [time, sensor, celsius] = [table.required("time_s")?, table.required("sensor")?, table.required("celsius")?];
     let mut collector = Collector::default();

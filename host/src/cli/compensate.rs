@@ -1,0 +1,225 @@
+//! `thermokin compensate`: what a robot has to be told so that it stands where it should.
+
+use std::io::{Read as _, Write as _};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use clap::{ArgGroup, Args, ValueEnum};
+use serde_json::json;
+
+use super::Failure;
+use super::output::JsonOption;
+use crate::compensate::batch::{self, BatchError, Outcome, Setting, Task};
+use crate::compensate::live::{Listening, Server, Source};
+use crate::compensate::{Arm, Conditions};
+use crate::input::InputError;
+use crate::logger::serve::stop_on_signals;
+use crate::model::{Level, Model};
+use crate::run::TemperatureLog;
+
+/// How much of the model is used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum LevelName {
+    Nominal,
+    Geometric,
+    Thermal,
+    Extended,
+}
+
+const AFTER_HELP: &str = "\
+Examples:
+  thermokin compensate model.json --correct path.csv --temperatures run/temperatures.csv --out corrected.csv
+  thermokin compensate model.json --inverse poses.csv --all
+  thermokin compensate model.json --live 127.0.0.1:7117 --store thermokin-log
+
+host/docs/compensate.md says what the tables hold and what is asked and answered live.";
+
+/// Forward and inverse kinematics of a calibrated arm at given or present temperatures
+#[derive(Debug, Args)]
+#[command(after_help = AFTER_HELP)]
+#[command(group = ArgGroup::new("task").required(true).multiple(false))]
+pub struct Arguments {
+    /// The model, as calibrate or discover wrote it
+    model: PathBuf,
+    /// Where the flange stands: a table with q1 to qN (rad, m), - for standard input
+    #[arg(long, value_name = "FILE", group = "task")]
+    forward: Option<PathBuf>,
+    /// What to command instead of q1 to qN so that the arm stands where the nominal one would
+    #[arg(long, value_name = "FILE", group = "task")]
+    correct: Option<PathBuf>,
+    /// Joints for places of the flange: x_m, y_m, z_m, qw, qx, qy, qz in the world frame, seeds q1 to qN where given
+    #[arg(long, value_name = "FILE", group = "task")]
+    inverse: Option<PathBuf>,
+    /// Answer a robot at this address of the machine itself (TCP), a line of JSON each
+    #[arg(long, value_name = "ADDRESS", group = "task")]
+    live: Option<SocketAddr>,
+    /// The same at a Unix socket
+    #[cfg(unix)]
+    #[arg(long, value_name = "PATH", group = "task")]
+    live_unix: Option<PathBuf>,
+    /// The solutions of all branches, a row each
+    #[arg(long, requires = "inverse")]
+    all: bool,
+    /// Temperatures as a run has them: at each row's time_s, or the last ones; live: followed as they are added
+    #[arg(long, value_name = "FILE", conflicts_with = "store")]
+    temperatures: Option<PathBuf>,
+    /// The store of the logger whose present temperatures are followed
+    #[arg(long, value_name = "DIR")]
+    store: Option<PathBuf>,
+    /// A sensor's temperature, °C; sensors that are not given count as at the reference
+    #[arg(long = "temperature", value_name = "SENSOR=C", conflicts_with_all = ["temperatures", "store"])]
+    fixed: Vec<String>,
+    /// What the flange carries, kg, where the table has no payload_kg
+    #[arg(long, value_name = "KG", default_value_t = 0.0)]
+    payload: f64,
+    /// How much of the model is used
+    #[arg(long, value_enum, default_value = "extended")]
+    level: LevelName,
+    /// The table of answers [default: standard output]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    json: JsonOption,
+}
+
+/// Carries the command out.
+///
+/// # Errors
+/// Bad usage or input; a disk or an address that is not to be had.
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let model = Model::read(&arguments.model)?;
+    let level = match arguments.level {
+        LevelName::Nominal => Level::Nominal,
+        LevelName::Geometric => Level::Geometric,
+        LevelName::Thermal => Level::Thermal,
+        LevelName::Extended => Level::Extended,
+    };
+    if let Some(listening) = arguments.listening() {
+        return live(arguments, &model, level, &listening);
+    }
+    let arm = Arm::new(&model, level);
+    for note in arm.notes() {
+        eprintln!("note: {note}");
+    }
+    if arguments.store.is_some() {
+        return Err(Failure::Usage("--store is followed live; expected --temperatures for a table".to_owned()));
+    }
+    let (task, file) = arguments.task()?;
+    let setting = arguments.setting(&arm)?;
+    let bytes = read(file)?;
+    let outcome = batch::run(&arm, task, &setting, file, &bytes).map_err(|error| match error {
+        BatchError::Input(error) => Failure::Input(error),
+        BatchError::Output(error) => Failure::Work(error.to_string()),
+    })?;
+    match &arguments.out {
+        Some(out) => std::fs::write(out, &outcome.table)
+            .map_err(|error| Failure::Work(format!("{}: cannot be written: {error}", out.display())))?,
+        None if arguments.json.leaves_words() => std::io::stdout()
+            .write_all(&outcome.table)
+            .map_err(|error| Failure::Work(format!("standard output: {error}")))?,
+        None => {}
+    }
+    say(&outcome);
+    arguments.json.write(&json!({
+        "format": 1, "command": "compensate", "rows": outcome.rows, "failed": outcome.failed, "bounded": outcome.bounded,
+        "largest_correction": outcome.largest, "notes": arm.notes(),
+    }))?;
+    match outcome.failed {
+        0 => Ok(()),
+        failed => {
+            Err(Failure::Work(format!("{failed} of {} rows have no solution; their status says why", outcome.rows)))
+        }
+    }
+}
+
+fn say(outcome: &Outcome) {
+    let bounded = match outcome.bounded {
+        0 => String::new(),
+        count => format!(", {count} of them made smaller to stay within the model's bounds"),
+    };
+    eprintln!("{} rows{bounded}", outcome.rows);
+}
+
+fn read(file: &Path) -> Result<Vec<u8>, InputError> {
+    let mut bytes = Vec::new();
+    let outcome = match file == Path::new("-") {
+        true => std::io::stdin().read_to_end(&mut bytes).map(|_| bytes),
+        false => std::fs::read(file),
+    };
+    outcome.map_err(|error| InputError::of_file(file, format!("cannot be read: {error}")))
+}
+
+impl Arguments {
+    fn listening(&self) -> Option<Listening> {
+        #[cfg(unix)]
+        if let Some(path) = &self.live_unix {
+            return Some(Listening::Unix(path.clone()));
+        }
+        self.live.map(Listening::Tcp)
+    }
+
+    fn task(&self) -> Result<(Task, &Path), Failure> {
+        let tasks = [
+            (Task::Forward, &self.forward),
+            (Task::Correct, &self.correct),
+            (Task::Inverse { all: self.all }, &self.inverse),
+        ];
+        let given = tasks.into_iter().find_map(|(task, file)| Some((task, file.as_deref()?)));
+        given.ok_or_else(|| Failure::Usage("expected --forward, --correct, --inverse or --live".to_owned()))
+    }
+
+    fn setting(&self, arm: &Arm) -> Result<Setting, Failure> {
+        if !(self.payload.is_finite() && self.payload >= 0.0) {
+            return Err(Failure::Usage(format!("--payload {}: expected kilograms from 0", self.payload)));
+        }
+        let model = arm.model();
+        let mut conditions = Conditions {
+            celsius: vec![None; model.temperatures.len()],
+            payload_kg: self.payload,
+            ..Conditions::default()
+        };
+        for text in &self.fixed {
+            let parsed = text.split_once('=').and_then(|(name, value)| Some((name, value.parse::<f64>().ok()?)));
+            let Some((name, celsius)) = parsed.filter(|(_, celsius)| celsius.is_finite()) else {
+                return Err(Failure::Usage(format!("--temperature {text}: expected a sensor and °C, as L0S1=25.5")));
+            };
+            let Some(sensor) = model.temperatures.iter().position(|reference| reference.sensor == name) else {
+                let known = model.sensors().join(", ");
+                return Err(Failure::Usage(format!("--temperature {text}: no such sensor, the model has {known}")));
+            };
+            conditions.celsius[sensor] = Some(celsius);
+        }
+        let Some(file) = &self.temperatures else { return Ok(Setting { conditions, log: None }) };
+        let mut notes = Vec::new();
+        let log = TemperatureLog::read(file, &mut notes)?;
+        notes.iter().for_each(|note| eprintln!("note: {note}"));
+        let last =
+            log.series.iter().filter_map(|series| series.times_s().last().copied()).fold(f64::NEG_INFINITY, f64::max);
+        let conditions =
+            batch::at_time(arm, &log, last, &conditions).map_err(|message| InputError::of_file(file, message))?;
+        Ok(Setting { conditions, log: Some(log) })
+    }
+}
+
+fn live(arguments: &Arguments, model: &Model, level: Level, listening: &Listening) -> Result<(), Failure> {
+    if !arguments.fixed.is_empty() {
+        return Err(Failure::Usage("--temperature is for tables; live, give --store or --temperatures".to_owned()));
+    }
+    let source = match (&arguments.store, &arguments.temperatures) {
+        (Some(store), _) => Some(Source::store(store)),
+        (None, Some(file)) => Some(Source::table(file)),
+        (None, None) => None,
+    };
+    let stop = stop_on_signals().map_err(|error| Failure::Work(format!("signals: {error}")))?;
+    for note in Arm::new(model, level).notes() {
+        eprintln!("note: {note}");
+    }
+    let server = Server::begin(model, level, source, listening, stop, |words| eprintln!("{words}"))
+        .map_err(|error| Failure::Usage(error.to_string()))?;
+    match server.address() {
+        Some(address) => eprintln!("listening at {address}"),
+        None => eprintln!("listening"),
+    }
+    server.wait();
+    Ok(())
+}
