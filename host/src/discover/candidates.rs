@@ -227,14 +227,36 @@ pub fn score(
     let stage = normal.white.stage;
     let at_postures = AtPostures::new(normal, &rivals.factors, None);
     let mut scores = in_two(candidates, |candidate| {
-        let tried = candidate.effect.shapes(scene, &candidate.site).into_iter().filter_map(|shape| {
-            let columns = columns(stage, scene, candidate, &shape);
+        let shapes = worth_a_look(&at_postures, stage, scene, candidate);
+        let tried = shapes.into_iter().filter_map(|(shape, columns)| {
             try_shape(normal, rivals, &at_postures.products(&columns), &columns, candidate, &shape, trials)
         });
         tried.map(|tried| score_of(candidate, tried, trials)).min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))
     });
     scores.sort_by(|a, b| a.ln_p.total_cmp(&b.ln_p));
     scores
+}
+
+/// Of long scans the shapes that explain most by a rough measure, with their columns; all shapes of short ones.
+fn worth_a_look(
+    at_postures: &AtPostures<'_>,
+    stage: &Stage,
+    scene: &Scene,
+    candidate: &Candidate,
+) -> Vec<(Vec<f64>, Vec<Column>)> {
+    const CLOSELY: usize = 60;
+    let shapes = candidate.effect.shapes(scene, &candidate.site);
+    let is_long = shapes.len() > 2 * CLOSELY;
+    let with_columns = shapes.into_iter().map(|shape| {
+        let columns = columns(stage, scene, candidate, &shape);
+        let rough = if is_long { at_postures.rough(&columns) } else { None };
+        (rough.unwrap_or(f64::INFINITY), shape, columns)
+    });
+    let mut all: Vec<_> = with_columns.collect();
+    let close = all.iter().filter(|(rough, ..)| rough.is_infinite()).count() + CLOSELY;
+    all.sort_by(|a, b| b.0.total_cmp(&a.0));
+    all.truncate(close);
+    all.into_iter().map(|(_, shape, columns)| (shape, columns)).collect()
 }
 
 fn score_of(candidate: &Candidate, tried: Tried, trials: &Trials) -> Score {

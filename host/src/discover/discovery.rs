@@ -526,7 +526,8 @@ fn alternatives(campaign: &Campaign, own: &Score, rivals: &[Score]) -> Vec<Alter
         .map(|rival| Alternative {
             effect: rival.instance.effect.name(),
             place: rival.instance.site.named(&campaign.chain, &campaign.sensors, &campaign.targets),
-            log_evidence: own.ln_p - rival.ln_p,
+            // Both refitted, the rival is behind: else it would stand in the other's place.
+            log_evidence: (own.ln_p - rival.ln_p).min(0.0),
         })
         .collect()
 }

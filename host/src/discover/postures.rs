@@ -14,6 +14,9 @@ use super::stage::Column;
 /// Beyond so many postures the short way is none.
 const MOST_POSTURES: usize = 800;
 
+/// Up to so many postures every shape is looked at closely.
+const FEW_POSTURES: usize = 60;
+
 /// Amounts that differ within a posture by less than this share of the largest count as the same: joints never come back to
 /// the last digit, and what is found this way is refined the long way.
 const SAME: f64 = 0.02;
@@ -95,6 +98,24 @@ impl<'a> AtPostures<'a> {
             }
         }
         Some((*place, amounts))
+    }
+
+    /// About how much an hypothesis explains, as if its columns had nothing in common and calibration took from each posture's
+    /// amount what it takes from all: enough to choose what is worth a closer look among many. None where there are few
+    /// postures, which cost little, and where the short way is not open.
+    pub fn rough(&self, columns: &[Column]) -> Option<f64> {
+        if self.normal.white.stage.postures <= FEW_POSTURES {
+            return None;
+        }
+        let (place, amounts) = self.amounts(columns)?;
+        let all = self.at(place).projected.first()?;
+        let of_column = |rank: usize| {
+            let column = amounts.column(rank);
+            let own: f64 =
+                column.iter().zip(all.own.diagonal().iter()).map(|(amount, own)| amount * amount * own).sum();
+            if own > 0.0 { column.dot(&all.response).powi(2) / own } else { 0.0 }
+        };
+        Some((0..amounts.ncols()).map(of_column).sum())
     }
 
     /// The products of an hypothesis, the short way where it is open.
