@@ -10,6 +10,7 @@ pub mod effect;
 pub mod input;
 pub mod logger;
 pub mod model;
+pub mod report;
 pub mod robot;
 pub mod run;
 pub mod simulate;

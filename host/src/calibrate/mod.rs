@@ -38,4 +38,4 @@ pub use robust::Loss;
 pub use solve::{Solution, Stop, Stopping, solve, solve_from};
 pub use strata::{WeighedGrowth, weighed_growth};
 pub use unknown::{GrowthTerm, Names, State, Unknown, keep_order};
-pub use validation::{Group, LEVELS, Refit, Validation, validate};
+pub use validation::{Group, LEVELS, Refit, Trial, Validation, validate};

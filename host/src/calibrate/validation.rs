@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector3;
+
 use super::align::{align, base_unknowns, target_unknowns};
 use super::campaign::{Campaign, ObservedVisit};
 use super::folded::folded;
@@ -60,6 +62,147 @@ pub struct Validation {
     pub notes: Vec<String>,
 }
 
+/// A model set up on the visits of a run: for each level, the measurements with the growth and the effects that it knows.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    /// The measurements.
+    pub campaign: Campaign,
+    /// Whether the model carries effects, so that there is an extended level.
+    pub has_effects: bool,
+    /// What was left out, filled in or found anew, in words.
+    pub notes: Vec<String>,
+    levels: Vec<(Campaign, State)>,
+    options: ObserveOptions,
+}
+
+impl Trial {
+    /// Sets a model up on the visits of a run that `pick` chooses.
+    ///
+    /// # Errors
+    /// A run that does not fit the model's arm, or none of whose visits is chosen.
+    pub fn new(
+        model: &Model,
+        run: &Run,
+        run_robot: &Robot,
+        options: &ObserveOptions,
+        refit: Refit,
+        pick: impl Fn(&ObservedVisit) -> bool,
+    ) -> Result<Trial, InputError> {
+        let mut robot = model.robot.clone();
+        robot.monuments = run_robot.monuments.clone();
+        if refit.targets {
+            // Another tool has other targets; the model's own do not matter then.
+            robot.targets = run_robot
+                .targets
+                .iter()
+                .cloned()
+                .map(|target| crate::robot::Target { position: None, ..target })
+                .collect();
+        }
+        let observed = observe(&robot, run, options, Some(&model.temperatures))?;
+        let campaign = observed.campaign.select(pick);
+        if campaign.visits.is_empty() {
+            let message = "no visit is left to validate with: the choice of poses leaves none";
+            return Err(InputError::of_file(&run.folder.join("poses.csv"), message));
+        }
+        let mut notes = observed.notes.clone();
+        let has_effects = model.extended.is_some();
+        let mut levels = Vec::new();
+        for level in LEVELS {
+            if level == Level::Extended && !has_effects {
+                break;
+            }
+            let mut own = campaign.clone();
+            let mut coefficients = Vec::new();
+            for (parameter, sensor, coefficient) in model.growth_at(level) {
+                let places = (campaign.chain.place(parameter), campaign.sensors.iter().position(|name| name == sensor));
+                if let (Some(parameter), Some(sensor)) = places {
+                    own.growth.push(GrowthTerm { parameter, sensor });
+                    coefficients.push(coefficient);
+                } else if level == Level::Thermal {
+                    notes.push(format!("{parameter} cannot follow {sensor}: the run has no such readings"));
+                }
+            }
+            let mut geometry = model.geometry(level).clone();
+            if refit.targets {
+                geometry.targets = observed.nominal.geometry.targets.clone();
+                geometry.turns = observed.nominal.geometry.turns.clone();
+            }
+            if level == Level::Extended {
+                let scene = scene_of(model, run, &observed, &own, &coefficients);
+                let applied = model.effects_in(&scene, &own.targets);
+                notes.extend(applied.notes);
+                let adjustments = adjustments(&scene, &applied.instances, &geometry.targets);
+                let (with_effects, ones) = folded(&own, &adjustments, &scene.station);
+                own = with_effects;
+                coefficients.extend(ones);
+            }
+            let state = refitted(&robot, &own, State { geometry, growth: coefficients }, refit);
+            levels.push((own, state));
+        }
+        if refit.base || refit.targets {
+            let what = match (refit.base, refit.targets) {
+                (true, true) => "base and targets were",
+                (true, false) => "the base was",
+                _ => "the targets were",
+            };
+            notes.push(format!("{what} found anew on this run, for each level of the model alone"));
+        }
+        Ok(Trial { campaign, has_effects, notes, levels, options: *options })
+    }
+
+    /// Gives every error of position, measured less predicted, metres: the level's place in [`LEVELS`], the visit, the
+    /// target. The levels come one after the other, each with the same points in the same order; the extended level comes
+    /// only where the model carries effects.
+    pub fn errors(&self, mut each: impl FnMut(usize, &ObservedVisit, usize, Vector3<f64>)) {
+        for (place, (campaign, state)) in self.levels.iter().enumerate() {
+            Problem::new(campaign, Vec::new(), state)
+                .distances(state, |visit, target, error| each(place, visit, target, error));
+        }
+    }
+
+    /// The errors summed up, overall, by cycle and by pose.
+    pub fn validation(&self, model: &Model, run: &Run) -> Validation {
+        let mut overall = [ErrorTally::default(); 4];
+        let mut by_cycle: BTreeMap<u32, (f64, [ErrorTally; 4])> = BTreeMap::new();
+        let mut by_pose: BTreeMap<u32, (f64, [ErrorTally; 4])> = BTreeMap::new();
+        let last = self.levels.len() - 1;
+        self.errors(|level, visit, _, error| {
+            let distance = error.norm();
+            let time = run.visits[visit.place].time_s;
+            let cycle = &mut by_cycle.entry(visit.cycle).or_insert((time, Default::default())).1;
+            let pose = &mut by_pose.entry(visit.pose).or_insert((time, Default::default())).1;
+            // Levels that the model does not have are as the last that it has.
+            for place in level..if level == last { LEVELS.len() } else { level + 1 } {
+                overall[place].add(distance);
+                cycle[place].add(distance);
+                pose[place].add(distance);
+            }
+        });
+        let warm =
+            |group: &dyn Fn(&ObservedVisit) -> bool| mean_temperature(model, run, &self.options, &self.campaign, group);
+        let groups = |sums: BTreeMap<u32, (f64, [ErrorTally; 4])>, cycles: bool| {
+            sums.into_iter()
+                .map(|(number, (time_s, tallies))| Group {
+                    number,
+                    time_s,
+                    temperature: warm(&|visit| if cycles { visit.cycle == number } else { visit.pose == number }),
+                    errors: tallies.map(|tally| tally.errors()),
+                })
+                .collect()
+        };
+        Validation {
+            visits: self.campaign.visits.len(),
+            points: overall[0].count(),
+            errors: overall.map(|tally| tally.errors()),
+            has_effects: self.has_effects,
+            cycles: groups(by_cycle, true),
+            poses: groups(by_pose, false),
+            notes: self.notes.clone(),
+        }
+    }
+}
+
 /// Tries a model on the visits of a run that `pick` chooses.
 ///
 /// # Errors
@@ -72,95 +215,7 @@ pub fn validate(
     refit: Refit,
     pick: impl Fn(&ObservedVisit) -> bool,
 ) -> Result<Validation, InputError> {
-    let mut robot = model.robot.clone();
-    robot.monuments = run_robot.monuments.clone();
-    if refit.targets {
-        // Another tool has other targets; the model's own do not matter then.
-        robot.targets =
-            run_robot.targets.iter().cloned().map(|target| crate::robot::Target { position: None, ..target }).collect();
-    }
-    let observed = observe(&robot, run, options, Some(&model.temperatures))?;
-    let campaign = observed.campaign.select(pick);
-    if campaign.visits.is_empty() {
-        let message = "no visit is left to validate with: the choice of poses leaves none";
-        return Err(InputError::of_file(&run.folder.join("poses.csv"), message));
-    }
-    let mut notes = observed.notes.clone();
-    let mut overall = [ErrorTally::default(); 4];
-    let mut by_cycle: BTreeMap<u32, (f64, [ErrorTally; 4])> = BTreeMap::new();
-    let mut by_pose: BTreeMap<u32, (f64, [ErrorTally; 4])> = BTreeMap::new();
-    let has_effects = model.extended.is_some();
-    for (place, level) in LEVELS.into_iter().enumerate() {
-        if level == Level::Extended && !has_effects {
-            overall[place] = overall[place - 1];
-            for (_, tallies) in by_cycle.values_mut().chain(by_pose.values_mut()) {
-                tallies[place] = tallies[place - 1];
-            }
-            break;
-        }
-        let mut own = campaign.clone();
-        let mut coefficients = Vec::new();
-        for (parameter, sensor, coefficient) in model.growth_at(level) {
-            let places = (campaign.chain.place(parameter), campaign.sensors.iter().position(|name| name == sensor));
-            if let (Some(parameter), Some(sensor)) = places {
-                own.growth.push(GrowthTerm { parameter, sensor });
-                coefficients.push(coefficient);
-            } else if level == Level::Thermal {
-                notes.push(format!("{parameter} cannot follow {sensor}: the run has no such readings"));
-            }
-        }
-        let mut geometry = model.geometry(level).clone();
-        if refit.targets {
-            geometry.targets = observed.nominal.geometry.targets.clone();
-            geometry.turns = observed.nominal.geometry.turns.clone();
-        }
-        if level == Level::Extended {
-            let scene = scene_of(model, run, &observed, &own, &coefficients);
-            let applied = model.effects_in(&scene, &own.targets);
-            notes.extend(applied.notes);
-            let adjustments = adjustments(&scene, &applied.instances, &geometry.targets);
-            let (with_effects, ones) = folded(&own, &adjustments, &scene.station);
-            own = with_effects;
-            coefficients.extend(ones);
-        }
-        let start = State { geometry, growth: coefficients };
-        let state = refitted(&robot, &own, start, refit);
-        Problem::new(&own, Vec::new(), &state).distances(&state, |visit, _, error| {
-            let distance = error.norm();
-            let time = run.visits[visit.place].time_s;
-            overall[place].add(distance);
-            by_cycle.entry(visit.cycle).or_insert((time, Default::default())).1[place].add(distance);
-            by_pose.entry(visit.pose).or_insert((time, Default::default())).1[place].add(distance);
-        });
-    }
-    if refit.base || refit.targets {
-        let what = match (refit.base, refit.targets) {
-            (true, true) => "base and targets were",
-            (true, false) => "the base was",
-            _ => "the targets were",
-        };
-        notes.push(format!("{what} found anew on this run, for each level of the model alone"));
-    }
-    let warm = |group: &dyn Fn(&ObservedVisit) -> bool| mean_temperature(model, run, options, &campaign, group);
-    let groups = |sums: BTreeMap<u32, (f64, [ErrorTally; 4])>, cycles: bool| {
-        sums.into_iter()
-            .map(|(number, (time_s, tallies))| Group {
-                number,
-                time_s,
-                temperature: warm(&|visit| if cycles { visit.cycle == number } else { visit.pose == number }),
-                errors: tallies.map(|tally| tally.errors()),
-            })
-            .collect()
-    };
-    Ok(Validation {
-        visits: campaign.visits.len(),
-        points: overall[0].count(),
-        errors: overall.map(|tally| tally.errors()),
-        has_effects,
-        cycles: groups(by_cycle, true),
-        poses: groups(by_pose, false),
-        notes,
-    })
+    Ok(Trial::new(model, run, run_robot, options, refit, pick)?.validation(model, run))
 }
 
 /// The run as the model's effects see it, with the thermal model fitted together with them.

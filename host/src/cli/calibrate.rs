@@ -109,7 +109,7 @@ impl From<HeldOutError> for Failure {
 }
 
 /// Errors on visits that were not used.
-struct Unseen {
+pub(super) struct Unseen {
     words: String,
     points: usize,
     errors: Errors,
@@ -308,7 +308,12 @@ struct ParameterResult<'a> {
     high: Option<f64>,
 }
 
-fn as_json(calibration: &Calibration, unseen: Option<&Unseen>, folded: Option<&HeldOut>) -> serde_json::Value {
+/// The object of `--json` (contract `results.md`).
+pub(super) fn as_json(
+    calibration: &Calibration,
+    unseen: Option<&Unseen>,
+    folded: Option<&HeldOut>,
+) -> serde_json::Value {
     let (poses, points, cycles) = counts(calibration);
     let [nominal, geometric, thermal] = calibration.errors(&calibration.campaign);
     let parameters: Vec<ParameterResult> = calibration

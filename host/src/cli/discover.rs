@@ -161,7 +161,8 @@ fn say(discovery: &Discovery) {
     }
 }
 
-fn as_json(discovery: &Discovery) -> Value {
+/// The object of `--json` (contract `results.md`).
+pub(super) fn as_json(discovery: &Discovery) -> Value {
     let level = |level: &Level| {
         json!({
             "mean_mm": level.fitted.mean_mm, "rms_mm": level.fitted.rms_mm, "max_mm": level.fitted.max_mm,

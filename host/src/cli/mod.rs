@@ -10,6 +10,7 @@ mod log;
 mod method_table;
 mod output;
 mod progress;
+mod report;
 mod simulate;
 mod validate;
 mod words;
@@ -38,6 +39,7 @@ enum Command {
     Validate(validate::Arguments),
     Discover(discover::Arguments),
     Compensate(compensate::Arguments),
+    Report(report::Arguments),
     Demo(demo::Arguments),
 }
 
@@ -75,6 +77,7 @@ pub fn main() -> ExitCode {
         Command::Validate(arguments) => validate::run(arguments),
         Command::Discover(arguments) => discover::run(arguments),
         Command::Compensate(arguments) => compensate::run(arguments),
+        Command::Report(arguments) => report::run(arguments),
         Command::Demo(arguments) => demo::run(arguments),
     };
     match outcome {

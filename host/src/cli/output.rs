@@ -40,3 +40,18 @@ impl JsonOption {
             .map_err(|error| Failure::Work(format!("{}: cannot be written: {error}", file.display())))
     }
 }
+
+/// Writes a file whole, or not at all.
+///
+/// # Errors
+/// When the folder or the disk does not take it.
+pub fn write_whole(file: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let mut name = file.file_name().unwrap_or_default().to_owned();
+    name.push(".part");
+    let part = file.with_file_name(name);
+    std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, file)).map_err(|error| {
+        // The part is of no use to anyone; that it cannot be removed is no further news.
+        let _ = std::fs::remove_file(&part);
+        Failure::Work(format!("{}: cannot be written: {error}", file.display()))
+    })
+}

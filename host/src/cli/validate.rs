@@ -14,7 +14,7 @@ use crate::model::Model;
 
 /// What can be found anew on the other run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum RefitName {
+pub(super) enum RefitName {
     /// The base: the instrument or the arm stands elsewhere
     Base,
     /// The targets: another tool
@@ -100,7 +100,8 @@ fn levels(validation: &Validation) -> &'static [&'static str] {
     }
 }
 
-fn as_json(validation: &Validation) -> serde_json::Value {
+/// The object of `--json` (contract `results.md`).
+pub(super) fn as_json(validation: &Validation) -> serde_json::Value {
     let levels = levels(validation);
     let row = |name: &str, group: &Group| {
         let mut value = json!({ name: group.number, "time_s": group.time_s, "temperature_c": group.temperature });
