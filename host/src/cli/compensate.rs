@@ -4,10 +4,11 @@ use std::io::{Read as _, Write as _};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args};
 use serde_json::json;
 
 use super::Failure;
+use super::conditions::{LevelName, Temperatures};
 use super::output::JsonOption;
 use crate::compensate::batch::{self, BatchError, Outcome, Setting, Task};
 use crate::compensate::live::{Listening, Server, Source};
@@ -16,15 +17,6 @@ use crate::input::InputError;
 use crate::logger::serve::stop_on_signals;
 use crate::model::{Level, Model};
 use crate::run::TemperatureLog;
-
-/// How much of the model is used.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum LevelName {
-    Nominal,
-    Geometric,
-    Thermal,
-    Extended,
-}
 
 const AFTER_HELP: &str = "\
 Examples:
@@ -66,9 +58,8 @@ pub struct Arguments {
     /// The store of the logger whose present temperatures are followed
     #[arg(long, value_name = "DIR")]
     store: Option<PathBuf>,
-    /// A sensor's temperature, °C; sensors that are not given count as at the reference
-    #[arg(long = "temperature", value_name = "SENSOR=C", conflicts_with_all = ["temperatures", "store"])]
-    fixed: Vec<String>,
+    #[command(flatten)]
+    given: Temperatures,
     /// What the flange carries, kg, where the table has no payload_kg
     #[arg(long, value_name = "KG", default_value_t = 0.0)]
     payload: f64,
@@ -88,12 +79,7 @@ pub struct Arguments {
 /// Bad usage or input; a disk or an address that is not to be had.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let model = Model::read(&arguments.model)?;
-    let level = match arguments.level {
-        LevelName::Nominal => Level::Nominal,
-        LevelName::Geometric => Level::Geometric,
-        LevelName::Thermal => Level::Thermal,
-        LevelName::Extended => Level::Extended,
-    };
+    let level = arguments.level.level();
     if let Some(listening) = arguments.listening() {
         return live(arguments, &model, level, &listening);
     }
@@ -172,23 +158,10 @@ impl Arguments {
         if !(self.payload.is_finite() && self.payload >= 0.0) {
             return Err(Failure::Usage(format!("--payload {}: expected kilograms from 0", self.payload)));
         }
-        let model = arm.model();
-        let mut conditions = Conditions {
-            celsius: vec![None; model.temperatures.len()],
-            payload_kg: self.payload,
-            ..Conditions::default()
-        };
-        for text in &self.fixed {
-            let parsed = text.split_once('=').and_then(|(name, value)| Some((name, value.parse::<f64>().ok()?)));
-            let Some((name, celsius)) = parsed.filter(|(_, celsius)| celsius.is_finite()) else {
-                return Err(Failure::Usage(format!("--temperature {text}: expected a sensor and °C, as L0S1=25.5")));
-            };
-            let Some(sensor) = model.temperatures.iter().position(|reference| reference.sensor == name) else {
-                let known = model.sensors().join(", ");
-                return Err(Failure::Usage(format!("--temperature {text}: no such sensor, the model has {known}")));
-            };
-            conditions.celsius[sensor] = Some(celsius);
+        if !self.given.is_empty() && self.temperatures.is_some() {
+            return Err(Failure::Usage("--temperature and --temperatures: expected one of them".to_owned()));
         }
+        let conditions = Conditions { payload_kg: self.payload, ..self.given.conditions(arm.model())? };
         let Some(file) = &self.temperatures else { return Ok(Setting { conditions, log: None }) };
         let mut notes = Vec::new();
         let log = TemperatureLog::read(file, &mut notes)?;
@@ -202,7 +175,7 @@ impl Arguments {
 }
 
 fn live(arguments: &Arguments, model: &Model, level: Level, listening: &Listening) -> Result<(), Failure> {
-    if !arguments.fixed.is_empty() {
+    if !arguments.given.is_empty() {
         return Err(Failure::Usage("--temperature is for tables; live, give --store or --temperatures".to_owned()));
     }
     let source = match (&arguments.store, &arguments.temperatures) {

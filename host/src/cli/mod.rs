@@ -4,13 +4,16 @@ mod board;
 mod calibrate;
 mod campaign;
 mod compensate;
+mod conditions;
 mod demo;
 mod discover;
+mod export;
 mod log;
 mod method_table;
 mod output;
 mod progress;
 mod report;
+mod robot;
 mod simulate;
 mod validate;
 mod words;
@@ -40,6 +43,8 @@ enum Command {
     Discover(discover::Arguments),
     Compensate(compensate::Arguments),
     Report(report::Arguments),
+    Export(export::Arguments),
+    Robot(robot::Arguments),
     Demo(demo::Arguments),
 }
 
@@ -78,6 +83,8 @@ pub fn main() -> ExitCode {
         Command::Discover(arguments) => discover::run(arguments),
         Command::Compensate(arguments) => compensate::run(arguments),
         Command::Report(arguments) => report::run(arguments),
+        Command::Export(arguments) => export::run(arguments),
+        Command::Robot(arguments) => robot::run(arguments),
         Command::Demo(arguments) => demo::run(arguments),
     };
     match outcome {

@@ -136,6 +136,11 @@ impl Arm {
         &self.on_joints
     }
 
+    /// The effects that follow from temperatures alone.
+    pub fn effects_on_temperatures(&self) -> &[Instance] {
+        &self.on_temperatures
+    }
+
     /// Whether each sensor of [`Model::sensors`] can move the arm.
     pub fn needed_sensors(&self) -> Vec<bool> {
         let mut needed = vec![false; self.scene.sensors.len()];

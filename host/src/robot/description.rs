@@ -2,9 +2,11 @@
 
 use nalgebra::Vector3;
 
-use super::chain::Chain;
+use super::chain::{Chain, Posture};
 use super::convention::{Convention, Symbol};
+use super::frame::Frame;
 use super::parameter::ParameterId;
+use super::parametrise::Axes;
 
 /// An arm as `robot.toml` describes it (contract `robot.md`).
 #[derive(Debug, Clone, PartialEq)]
@@ -130,6 +132,17 @@ impl Robot {
         for value in self.transforms.iter_mut().flat_map(|transform| transform.values.iter_mut()) {
             *value = *rest.next().unwrap_or(value);
         }
+    }
+
+    /// The frames of the joints' axes with all joints at zero, seen from the world, each with its joint, and the flange; for
+    /// `values` in place of the nominal ones.
+    pub fn axes(&self, values: &[f64]) -> Axes {
+        let frames = self.chain().prepare(values).frames(&Posture::new(&vec![0.0; self.joint_count()]));
+        let before = |number: usize| number.checked_sub(1).map_or_else(Frame::identity, |place| frames[place]);
+        let joints = self.transforms.iter().enumerate();
+        let joints =
+            joints.filter_map(|(number, transform)| Some((before(number), transform.joint.clone()?))).collect();
+        Axes { joints, flange: frames.last().copied().unwrap_or_else(Frame::identity) }
     }
 
     /// The number of joints.

@@ -2,10 +2,10 @@
 
 use super::convention::{Convention, Symbol};
 use super::description::{JointKind, Robot};
+use super::parametrise::NEARLY_PARALLEL;
 
-/// Two axes closer to parallel (or to perpendicular) than this, as the sine (or cosine) of their angle, make the other
-/// convention singular for practical purposes: the common normal then moves by 20 times any error of alignment.
-const NEARLY: f64 = 0.05;
+/// Two axes closer to perpendicular than this, as the cosine of their angle, make 'hayati' singular for practical purposes.
+const NEARLY_PERPENDICULAR: f64 = 0.05;
 
 impl Robot {
     /// Remarks on completeness and proportionality of the chain's parametrisation (thesis section 3.3.1), in words.
@@ -23,12 +23,12 @@ impl Robot {
             let cosine = libm::cos(alpha) * libm::cos(beta);
             let joint = self.transforms[..=number].iter().filter(|transform| transform.joint.is_some()).count();
             match transform.convention {
-                Convention::Dh if number > 0 && 1.0 - cosine * cosine < NEARLY * NEARLY => remarks.push(format!(
+                Convention::Dh if number > 0 && 1.0 - cosine * cosine < NEARLY_PARALLEL * NEARLY_PARALLEL => remarks.push(format!(
                     "transform {number} is 'dh' between axes {joint} and {}, which are parallel: its d and the next move \
                      together and the common normal is not defined; 'hayati' suits it",
                     joint + 1
                 )),
-                Convention::Hayati if cosine.abs() < NEARLY => remarks.push(format!(
+                Convention::Hayati if cosine.abs() < NEARLY_PERPENDICULAR => remarks.push(format!(
                     "transform {number} is 'hayati' between perpendicular axes, where it is singular; 'dh' suits it"
                 )),
                 _ => {}
