@@ -3,6 +3,8 @@
 //! Labels are put right before anything is calibrated, since a few of them spoil every fit. Points that no motion of the
 //! joints and no noise explains are set aside, not deleted: what an effect that is found later explains comes back.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{DMatrix, Matrix3};
 
 use super::noise::robust;
@@ -173,6 +175,9 @@ const PLAIN: f64 = 45.0;
 /// A target of which more than this share of the visits is wrong has moved; its points are not outliers.
 const MOVED: f64 = 0.3;
 
+/// Fewer visits of a posture than this do not tell what comes back from what happens once.
+const FEWEST_TO_COME_BACK: usize = 4;
+
 /// The points of a stage that are plainly wrong: visit and position of the campaign, error in metres, test statistic.
 pub fn plainly_wrong(campaign: &Campaign, stage: &Stage) -> Vec<(usize, usize, f64, f64)> {
     let noise = robust(stage);
@@ -199,6 +204,22 @@ pub fn plainly_wrong(campaign: &Campaign, stage: &Stage) -> Vec<(usize, usize, f
         .filter(|&number| found.iter().filter(|wrong| target(wrong) == number).count() as f64 > MOVED * seen(number))
         .collect();
     found.retain(|wrong| !moved.contains(&target(wrong)));
+    // What comes back whenever the arm stands so is no gross error.
+    let key = |visit: usize, position: usize| {
+        let seen = &campaign.visits[visit];
+        (seen.pose, seen.positions[position].target)
+    };
+    let mut times: BTreeMap<(u32, usize), (usize, usize)> = BTreeMap::new();
+    for (visit, seen) in campaign.visits.iter().enumerate() {
+        (0..seen.positions.len()).for_each(|position| times.entry(key(visit, position)).or_default().0 += 1);
+    }
+    for &(visit, position, ..) in &found {
+        times.entry(key(visit, position)).or_default().1 += 1;
+    }
+    found.retain(|&(visit, position, ..)| {
+        let (visits, wrong) = times[&key(visit, position)];
+        visits < FEWEST_TO_COME_BACK || wrong as f64 <= MOVED * visits as f64
+    });
     found
 }
 
