@@ -14,3 +14,4 @@ pub mod report;
 pub mod robot;
 pub mod run;
 pub mod simulate;
+pub(crate) mod table;

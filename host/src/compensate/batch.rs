@@ -11,8 +11,8 @@ use super::correction::Corrector;
 use super::inverse::{InverseError, Solution};
 use crate::input::InputError;
 use crate::robot::Frame;
-use crate::run::table::{Row, Table, TableWriter};
 use crate::run::{TemperatureLog, WriteError};
+use crate::table::{Row, Table, TableWriter};
 
 /// What is asked of every row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

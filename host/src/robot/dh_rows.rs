@@ -8,7 +8,7 @@ use super::description::{Joint, JointKind, Transform};
 use super::frame::Frame;
 use super::parametrise::{Axes, frame_of};
 use crate::input::InputError;
-use crate::run::table::{Row, Table};
+use crate::table::{Row, Table};
 
 /// In which order the four motions of a row follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
 use super::WriteError;
-use super::table::is_usable_name;
 use crate::input::{InputError, line_of_offset};
+use crate::table::is_usable_name;
 
 /// The name of the file in its folder.
 pub(super) const FILE: &str = "run.toml";

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use super::points::{Names, first_duplicate, name_of, visit_of_row};
 use super::poses::Visits;
-use super::table::{Table, TableWriter};
 use super::{Anchor, BrokenBeam, Distance, Run, Visit, WriteError};
 use crate::input::InputError;
+use crate::table::{Table, TableWriter};
 
 /// The name of the file in its folder.
 pub(super) const FILE: &str = "distances.csv";

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Run, description, distances, motion, points, poses, temperatures};
 use crate::input::InputError;
+use crate::table::WriteError;
 
 /// The files of a run folder as bytes.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -24,27 +25,6 @@ pub struct RunFiles {
     pub distances: Option<Vec<u8>>,
     /// The robot description where it lies inside the folder and travels with it: its path there, and its bytes.
     pub robot: Option<(PathBuf, Vec<u8>)>,
-}
-
-/// Why a run was not written.
-#[derive(Debug, thiserror::Error)]
-pub enum WriteError {
-    /// The run holds what could not be read back.
-    #[error("{}: {message}", file.display())]
-    Content {
-        /// The file that would have held it.
-        file: PathBuf,
-        /// What is wrong and what was expected.
-        message: String,
-    },
-    /// The disk did not take it.
-    #[error("{}: cannot be written: {source}", file.display())]
-    Disk {
-        /// The file or folder in question.
-        file: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
 }
 
 impl RunFiles {

@@ -11,7 +11,6 @@ mod motion;
 mod points;
 mod poses;
 mod selection;
-pub(crate) mod table;
 mod temperatures;
 #[cfg(test)]
 mod tests;
@@ -22,8 +21,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::input::InputError;
 
+pub use crate::table::WriteError;
 pub use description::{Anchor, Instrument, RunDescription};
-pub use files::{RunFiles, WriteError};
+pub use files::RunFiles;
 pub use motion::{MotionStep, Phase};
 pub use selection::{FoldError, Selection, SelectionError, folds_by_cycle, folds_by_pose};
 pub use temperatures::{JoinOptions, Joined, SensorJoin, TemperatureLog, TemperatureSeries, TemperatureTable};

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use super::table::{Table, TableWriter, numbered_suffix};
 use super::{Run, WriteError};
 use crate::input::InputError;
+use crate::table::{Table, TableWriter, numbered_suffix};
 
 /// The name of the file in its folder.
 pub(super) const FILE: &str = "motion.csv";

@@ -6,9 +6,9 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::poses::Visits;
-use super::table::{Row, Table, TableWriter};
 use super::{BrokenBeam, Point, Run, Visit, WriteError, distances};
 use crate::input::InputError;
+use crate::table::{Row, Table, TableWriter};
 
 /// The name of the file in its folder.
 pub(super) const FILE: &str = "points.csv";

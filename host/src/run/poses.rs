@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use super::table::{Table, TableWriter, numbered_suffix};
 use super::{Run, Visit, WriteError};
 use crate::input::InputError;
+use crate::table::{Row, Table, TableWriter, numbered_suffix};
 
 /// The name of the file in its folder.
 pub(super) const FILE: &str = "poses.csv";
@@ -89,7 +89,7 @@ fn joint_columns(table: &Table<'_>, prefix: &str, joints: usize) -> Result<Vec<u
     )))
 }
 
-fn approach_signs(row: &super::table::Row<'_>, columns: &[usize]) -> Result<Option<Vec<i8>>, InputError> {
+fn approach_signs(row: &Row<'_>, columns: &[usize]) -> Result<Option<Vec<i8>>, InputError> {
     let expected = "-1, 0 or 1, the sign of the joint's last motion";
     let Some(values) = row.optional_numbers(columns, expected)? else { return Ok(None) };
     values

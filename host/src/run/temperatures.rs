@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::points::Names;
-use super::table::{Table, TableWriter};
 use super::{Run, WriteError};
 use crate::input::InputError;
+use crate::table::{Table, TableWriter};
 
 /// The name of the file in its folder.
 pub(super) const FILE: &str = "temperatures.csv";
