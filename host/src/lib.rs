@@ -8,6 +8,7 @@ pub mod compensate;
 pub mod discover;
 pub mod effect;
 pub mod input;
+pub mod live;
 pub mod logger;
 pub mod model;
 pub mod report;

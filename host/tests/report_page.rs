@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use browser::{Browser, address};
+use browser::{Browser, LOOKS};
 use serde_json::Value;
 
 const DRAWN: &str = "document.documentElement?.dataset.drawn";
@@ -23,6 +23,11 @@ fn done(arguments: &[&str]) {
 
 fn text(path: &Path) -> &str {
     path.to_str().expect("a path of letters")
+}
+
+/// The address of a file.
+fn address(file: &Path) -> String {
+    format!("file://{}", file.canonicalize().expect("it is there").display())
 }
 
 fn json(path: &Path) -> Value {
@@ -59,6 +64,14 @@ const CELLS: &str = "[...document.querySelectorAll('[data-from]')].map((cell) =>
     { from: cell.dataset.from, factor: Number(cell.dataset.factor ?? 1), text: cell.textContent }))";
 
 fn check_plots(browser: &mut Browser, least: usize) {
+    // Those in space are drawn when they come into sight, not before.
+    let waiting = "[...document.querySelectorAll('.plot:not(.js-plotly-plot)')].map((plot) => plot.id)";
+    let waiting: Vec<String> = serde_json::from_value(browser.evaluate(waiting)).expect("names");
+    assert!(waiting.contains(&"residual-vectors".to_owned()), "{waiting:?}");
+    for id in waiting {
+        browser.evaluate(&format!("document.getElementById('{id}').scrollIntoView(); 0"));
+        browser.wait(&format!("document.querySelector('#{id} .gl-container canvas')"));
+    }
     let plots = browser.evaluate(PLOTS);
     let plots = plots.as_array().expect("a list");
     assert!(plots.len() >= least, "{} plots", plots.len());
@@ -95,7 +108,7 @@ fn check_cells(browser: &mut Browser, results: &Value, least: usize) {
 }
 
 fn check_access(browser: &mut Browser) {
-    for (width, scheme) in [(1280, "light"), (1280, "dark"), (480, "light")] {
+    for (width, scheme) in LOOKS {
         browser.look(width, scheme);
         // Redrawing for another scheme is done when the plots have its colours.
         let paper = if scheme == "dark" { "rgb(18, 22, 27)" } else { "rgb(255, 255, 255)" };
@@ -105,6 +118,7 @@ fn check_access(browser: &mut Browser) {
         ));
         let found = browser.axe();
         assert!(found.is_empty(), "{width} pixels, {scheme}:\n{}", found.join("\n"));
+        browser.picture(&format!("report-{width}-{scheme}"));
     }
 }
 
@@ -131,7 +145,7 @@ fn the_report_shows_what_the_json_says() {
     assert_eq!(titles.as_array().map(Vec::len), Some(11), "{titles}");
     let sentences = browser.evaluate("[...document.querySelectorAll('.verdict p')].map((p) => p.textContent)");
     assert_eq!(sentences, results["verdict"]);
-    browser.press("Tab");
+    browser.press("Tab", 9);
     assert_eq!(browser.evaluate("document.activeElement.className"), "skip", "the first key goes to the verdict");
     check_access(&mut browser);
     assert_eq!(browser.errors(), Vec::<String>::new());

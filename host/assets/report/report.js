@@ -49,21 +49,36 @@
   const script = document.createElement("script");
   script.textContent = await new Response(unpacked).text();
   document.head.append(script);
-  // The one in space comes last: where a machine draws it without help from graphics, it takes a second or more.
-  const inSpace = (figure) => Number("scene" in figure.layout);
-  for (const figure of [...figures].sort((a, b) => inSpace(a) - inSpace(b))) {
+  const show = async (figure) => {
     const place = document.getElementById(figure.id);
-    place.textContent = "";
+    if (!place.dataset.shown) place.textContent = "";
+    place.dataset.shown = "yes";
     await draw(figure, current());
     // What a screen reader is told of the drawing stands at the place; the letters at the ticks would only be noise.
     place.querySelectorAll("svg.main-svg").forEach((svg) => svg.setAttribute("aria-hidden", "true"));
+  };
+  const inSpace = (figure) => "scene" in figure.layout;
+  for (const figure of figures.filter((figure) => !inSpace(figure))) {
+    await show(figure);
     await new Promise((done) => setTimeout(done));
     document.documentElement.dataset.opened ??= performance.now();
   }
-  const drawAll = (scheme, paperWidth) => figures.forEach((figure) => draw(figure, scheme, paperWidth));
-  dark.addEventListener("change", () => drawAll(current()));
-  addEventListener("beforeprint", () => drawAll("light", 680));
-  addEventListener("afterprint", () => drawAll(current()));
+  // One in space is drawn when somebody comes near it: on a machine without graphics it takes seconds, in which the page
+  // would not answer.
+  const near = new IntersectionObserver((seen) => {
+    for (const { target } of seen.filter((entry) => entry.isIntersecting)) {
+      near.unobserve(target);
+      show(figures.find((figure) => figure.id === target.id));
+    }
+  }, { rootMargin: "200px" });
+  figures.filter(inSpace).forEach((figure) => near.observe(document.getElementById(figure.id)));
+  const shown = (figure) => document.getElementById(figure.id).dataset.shown;
+  dark.addEventListener("change", () => figures.filter(shown).forEach((figure) => draw(figure, current())));
+  addEventListener("beforeprint", () => figures.forEach((figure) => {
+    if (!shown(figure)) show(figure);
+    draw(figure, "light", 680);
+  }));
+  addEventListener("afterprint", () => figures.forEach((figure) => draw(figure, current())));
   document.documentElement.dataset.drawn = figures.length;
 })().catch((error) => {
   document.querySelectorAll(".waiting").forEach((place) => { place.textContent = `The plot cannot be drawn: ${error.message}`; });

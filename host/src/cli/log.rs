@@ -1,5 +1,6 @@
 //! `thermokin log`: the host logger, and what one does with the log files.
 
+mod live;
 mod plain;
 mod terminal;
 
@@ -88,6 +89,8 @@ struct ServeArguments {
     /// Write lines even where there is a terminal
     #[arg(long)]
     plain: bool,
+    #[command(flatten)]
+    live: live::LiveArguments,
     #[command(flatten)]
     json: JsonOption,
 }
@@ -188,6 +191,8 @@ fn listen(arguments: &ServeArguments) -> Result<(), Failure> {
         rotation: Rotation { bytes: arguments.rotate_mib << 20, seconds: arguments.rotate_hours * 3600 },
         gather_us: arguments.gather_ms * 1000,
     };
+    // What is wrong with the live page's arguments is said before the logger opens its store.
+    let page = live::Page::start(&arguments.live, arguments.robot.as_deref())?;
     let stop = stop_on_signals().map_err(|error| Failure::Work(error.to_string()))?;
     let on_terminal = !arguments.plain && io::stdout().is_terminal() && io::stdin().is_terminal();
     let mut view: Box<dyn View> = if on_terminal {
@@ -195,7 +200,11 @@ fn listen(arguments: &ServeArguments) -> Result<(), Failure> {
     } else {
         Box::new(plain::Plain::default())
     };
+    if let Some(page) = &page {
+        view = page.beside(view);
+    }
     let outcome = serve(&options, &stop, view.as_mut());
+    drop(page);
     // The terminal is given back before the last words.
     drop(view);
     let tally = outcome.map_err(failure)?;

@@ -194,6 +194,11 @@ impl Engine {
         &self.boards
     }
 
+    /// The settings that boards are told to have.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
     /// What was counted.
     pub fn tally(&self) -> &Tally {
         &self.tally

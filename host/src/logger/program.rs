@@ -3,8 +3,6 @@
 //! A signed image is `TKPG`, the manifest's bytes, the 64 bytes of the signature, and the image.
 
 use std::fs::File;
-use std::io::Read;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use ed25519_dalek::{Signature, Signer, SigningKey, VerifyingKey};
@@ -12,7 +10,7 @@ use sha2::{Digest, Sha256};
 use thermokin_protocol::update::{Manifest, Target};
 use thermokin_protocol::{Firmware, Key};
 
-use super::registry::{hex, new_key, write_secret};
+use super::registry::{hex, new_key, read_secret, write_secret};
 use crate::input::InputError;
 
 const MAGIC: [u8; 4] = *b"TKPG";
@@ -122,7 +120,7 @@ pub fn version(text: &str) -> Option<Firmware> {
 /// A file that cannot be read or written, that others may read, or that holds no key.
 pub fn signing_key(path: &Path) -> Result<SigningKey, InputError> {
     let failed = |error: std::io::Error| InputError::of_file(path, error.to_string());
-    let mut file = match File::open(path) {
+    let file = match File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
@@ -134,19 +132,15 @@ pub fn signing_key(path: &Path) -> Result<SigningKey, InputError> {
         }
         Err(error) => return Err(failed(error)),
     };
-    let mode = file.metadata().map_err(failed)?.permissions().mode() & 0o777;
-    if mode & 0o077 != 0 {
-        let message = format!("has mode {mode:03o} but holds a key: expected 600 (chmod 600 makes it so)");
-        return Err(InputError::of_file(path, message));
-    }
-    let mut text = String::new();
-    file.read_to_string(&mut text).map_err(failed)?;
+    let text = read_secret(path, file, "a key")?;
     let key = Key::from_hex(text.trim()).map_err(|error| InputError::of_file(path, error.to_string()))?;
     Ok(SigningKey::from_bytes(key.expose()))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     fn signed() -> (SignedProgram, SigningKey) {

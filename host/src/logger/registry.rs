@@ -106,15 +106,7 @@ impl Registry {
     /// If it cannot be read, if others than its owner may read it, or if it is not a registry.
     pub fn read(path: &Path) -> Result<Self, InputError> {
         let failed = |error: io::Error| InputError::of_file(path, error.to_string());
-        let mut file = File::open(path).map_err(failed)?;
-        let mode = file.metadata().map_err(failed)?.permissions().mode() & 0o777;
-        if mode & 0o077 != 0 {
-            let message = format!("has mode {mode:03o} but holds keys: expected 600 (chmod 600 makes it so)");
-            return Err(InputError::of_file(path, message));
-        }
-        let mut text = String::new();
-        file.read_to_string(&mut text).map_err(failed)?;
-        Self::parse(path, &text)
+        Self::parse(path, &read_secret(path, File::open(path).map_err(failed)?, "keys")?)
     }
 
     fn parse(path: &Path, text: &str) -> Result<Self, InputError> {
@@ -203,6 +195,23 @@ impl Registry {
     pub fn board(&self, number: u32) -> Option<&Board> {
         self.boards.iter().find(|board| board.board == number)
     }
+}
+
+/// Reads the whole of an open file, which only its owner may be able to read; what it `holds` is said otherwise.
+///
+/// # Errors
+///
+/// If it cannot be read, or if others than its owner may read it.
+pub fn read_secret(path: &Path, mut file: File, holds: &str) -> Result<String, InputError> {
+    let failed = |error: io::Error| InputError::of_file(path, error.to_string());
+    let mode = file.metadata().map_err(failed)?.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 {
+        let message = format!("has mode {mode:03o} but holds {holds}: expected 600 (chmod 600 makes it so)");
+        return Err(InputError::of_file(path, message));
+    }
+    let mut text = String::new();
+    file.read_to_string(&mut text).map_err(failed)?;
+    Ok(text)
 }
 
 /// Writes a file that only its owner may read, in place of what was there.

@@ -1,5 +1,7 @@
 //! What was discovered: a table and words for each finding, a plot of its evidence, and what is left.
 
+use std::collections::BTreeMap;
+
 use serde_json::{Value, json};
 
 use super::Tried;
@@ -7,7 +9,7 @@ use super::figure::{Figure, axis, layout, shorts, trace, with};
 use super::table::{Form, Table, escaped, list, shown, strings};
 use crate::discover::stage::{Point, errors};
 use crate::discover::{Discovery, Finding};
-use crate::effect::Instance;
+use crate::effect::{Instance, UNEXPLAINED, pattern};
 use crate::robot::{Posture, Twist};
 use crate::run::JoinOptions;
 
@@ -42,8 +44,8 @@ fn place(place: &Value) -> String {
     words.join(", ")
 }
 
-/// The chapter: `figure` gives the HTML of a finding's plot by its place.
-pub fn chapter(results: &Value, figure: impl Fn(usize) -> String) -> String {
+/// The chapter: `figure` gives the HTML of a finding's plot by its place, `left` that of the plots of what is left.
+pub fn chapter(results: &Value, figure: impl Fn(usize) -> String, left: &str) -> String {
     let discovery = &results["discovery"];
     let Some(findings) = discovery["findings"].as_array() else {
         return "<p>Nothing was looked for (<code>--no-discover</code>, or a run too small to judge).</p>".to_owned();
@@ -90,7 +92,7 @@ pub fn chapter(results: &Value, figure: impl Fn(usize) -> String) -> String {
              {chance}).</p>"
         ),
     };
-    html
+    html + left
 }
 
 /// A chance that names its source; one that is smaller than anyone can mean is said in words.
@@ -132,8 +134,10 @@ fn one(results: &Value, number: usize, finding: &Value) -> String {
         );
         for (row, parameter) in parameters.iter().enumerate() {
             table.row(parameter["name"].as_str().unwrap_or(""));
+            let whole = parameter["value"].as_f64().is_some_and(|value| value.fract() == 0.0);
+            let form = if whole { Form::Whole } else { Form::Power(4) };
             for field in ["value", "low", "high"] {
-                table.cell(&format!("{at}/parameters/{row}/{field}"), Form::Power(4), "–");
+                table.cell(&format!("{at}/parameters/{row}/{field}"), form, "–");
             }
             table.end_row();
         }
@@ -179,21 +183,54 @@ pub fn evidence(tried: &Tried<'_>, discovery: &Discovery, number: usize) -> Opti
         effects.iter().position(|other| other.same_name(instance) && other.shape == instance.shape)
     });
     match own {
-        Some(place) => of_positions(discovery, finding, place, number),
+        Some(place) => {
+            let name = format!("{} {}", finding.effect.replace('_', " "), finding.place);
+            of_positions(discovery, place, &format!("finding-{number}"), name.trim())
+        }
         None => of_readings(tried, discovery, finding, number),
     }
 }
 
-/// What an effect at a joint, of which a number follows, is plotted against.
+/// The plots of what has no name: what is left before and after each part of it, against what it follows.
+pub fn nameless(discovery: &Discovery) -> Vec<Figure> {
+    let effects = &discovery.search.last.point.effects;
+    let nameless = (0..effects.len()).filter(|&place| effects[place].effect.name() == UNEXPLAINED);
+    nameless
+        .take(MOST_FIGURES)
+        .filter_map(|place| {
+            let follows = pattern::follows(&discovery.scene, &effects[place].site, &effects[place].shape);
+            of_positions(
+                discovery,
+                place,
+                &format!("nameless-{place}"),
+                &format!("what follows {}", follows.join(", ")),
+            )
+        })
+        .collect()
+}
+
+/// The axis of effects that come with time.
+const HOURS: &str = "hours since the run began";
+
+/// What an effect is plotted against: the axis and a number for each visit.
 fn covariate(discovery: &Discovery, instance: &Instance) -> (String, Vec<f64>) {
     let scene = &discovery.scene;
     let site = &instance.site;
-    let hours = || ("hours since the run began".to_owned(), scene.by_visit(|visit| visit.time_s / 3600.0));
+    let hours = || (HOURS.to_owned(), scene.by_visit(|visit| visit.time_s / 3600.0));
     let position = |joint: usize| {
         let (unit, factor) = if scene.revolute[joint] { ("°", 1f64.to_degrees()) } else { ("mm", 1e3) };
         (format!("joint {}, {unit}", joint + 1), scene.by_visit(|visit| factor * visit.joints[joint]))
     };
     match (instance.effect.name(), site.joint) {
+        (UNEXPLAINED, _) => {
+            let mut made = vec![0.0; scene.visits.len()];
+            for (term, coefficient) in instance.terms(scene).iter().zip(&instance.coefficients) {
+                for act in term {
+                    made.iter_mut().zip(act.amounts()).for_each(|(made, amount)| *made += 1e6 * coefficient * amount);
+                }
+            }
+            ("what the pattern makes of it, millionths (µm, µrad)".to_owned(), made)
+        }
         ("joint_coupling", _) => site.from.map_or_else(hours, position),
         ("gear_eccentricity" | "encoder_gain", Some(joint)) => position(joint),
         ("backlash", Some(joint)) => {
@@ -230,7 +267,8 @@ enum Along {
     Itself,
 }
 
-fn of_positions(discovery: &Discovery, finding: &Finding, place: usize, number: usize) -> Option<Figure> {
+/// The plot of an effect by its place among those of the last fit.
+fn of_positions(discovery: &Discovery, place: usize, id: &str, name: &str) -> Option<Figure> {
     let Discovery { campaign, scene, .. } = discovery;
     let with_all = &discovery.search.last.point;
     let instance = &with_all.effects[place];
@@ -296,18 +334,36 @@ fn of_positions(discovery: &Discovery, finding: &Finding, place: usize, number: 
     let side = |number: usize| -> Vec<f64> {
         known.iter().map(|&visit| factor * sums[visit][number] / sums[visit][0]).collect()
     };
-    let (old, new) = (side(1), side(2));
+    let (mut old, mut new) = (side(1), side(2));
+    let changes = title == HOURS;
+    if changes {
+        // What stays with a posture says nothing of what comes with time, and would hide it.
+        let mut stays: BTreeMap<u32, (f64, f64)> = BTreeMap::new();
+        for (&visit, error) in known.iter().zip(&new) {
+            let (sum, count) = stays.entry(scene.visits[visit].pose).or_default();
+            *sum += error;
+            *count += 1.0;
+        }
+        for (place, &visit) in known.iter().enumerate() {
+            if let Some((sum, count)) = stays.get(&scene.visits[visit].pose) {
+                old[place] -= sum / count;
+                new[place] -= sum / count;
+            }
+        }
+    }
     let rms = |values: &[f64]| (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt();
     let words = format!("RMS {:.1} before, {:.1} after", rms(&old), rms(&new));
     let x = shorts(known.iter().map(|&visit| at[visit]));
-    let name = format!("{} {}", finding.effect.replace('_', " "), finding.place);
     let marks =
         |color: &str, symbol: &str| json!({"marker": {"color": color, "symbol": symbol, "size": 5, "opacity": 0.75}});
     Some(Figure {
-        id: format!("finding-{number}"),
-        title: format!("Evidence: {}", name.trim()),
-        caption: format!("Each mark is one visit: what its residuals say, before and after the correction. {words}."),
-        alt: format!("{what} against {title}, before and after {} is corrected: {words}", name.trim()),
+        id: id.to_owned(),
+        title: format!("Evidence: {name}"),
+        caption: format!(
+            "Each mark is one visit: what its residuals say, before and after the correction{}. {words}.",
+            if changes { ", less what stays with its posture" } else { "" }
+        ),
+        alt: format!("{what} against {title}, before and after {name} is corrected: {words}"),
         height: 360,
         traces: vec![
             with(trace("before", "markers", x.clone(), shorts(old)), marks("@geometric", "circle-open")),
@@ -363,7 +419,7 @@ fn of_readings(tried: &Tried<'_>, discovery: &Discovery, finding: &Finding, numb
         alt: format!("Temperatures of {} at the visits, as read and with the fault undone", sensors.join(" and ")),
         height: 360,
         traces,
-        layout: layout([("xaxis", axis("hours since the run began")), ("yaxis", axis("temperature, °C"))]),
+        layout: layout([("xaxis", axis(HOURS)), ("yaxis", axis("temperature, °C"))]),
     })
 }
 
@@ -379,9 +435,6 @@ fn of_points(tried: &Tried<'_>, finding: &Finding, number: usize) -> Option<Figu
         alt: format!("Errors of {} points that were set aside, over time", finding.points.len()),
         height: 300,
         traces: vec![with(trace("set aside", "markers", shorts(times), shorts(off)), marks)],
-        layout: layout([
-            ("xaxis", axis("hours since the run began")),
-            ("yaxis", with(axis("error, mm"), json!({"rangemode": "tozero"}))),
-        ]),
+        layout: layout([("xaxis", axis(HOURS)), ("yaxis", with(axis("error, mm"), json!({"rangemode": "tozero"})))]),
     })
 }

@@ -6,6 +6,7 @@
 
 mod figure;
 mod findings;
+mod left;
 mod observability;
 mod overview;
 mod page;

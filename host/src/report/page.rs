@@ -6,7 +6,9 @@ use serde_json::Value;
 
 use super::figure::Figure;
 use super::table::escaped;
-use super::{Contents, findings, observability, overview, parameters, provenance, quality, residuals, time, verdict};
+use super::{
+    Contents, findings, left, observability, overview, parameters, provenance, quality, residuals, time, verdict,
+};
 
 /// plotly.js with the traces that the page uses, compressed by gzip; see host/assets/plotly/README.md.
 const LIBRARY: &[u8] = include_bytes!("../../assets/plotly/plotly.min.js.gz");
@@ -63,7 +65,14 @@ pub fn page(contents: &Contents<'_>) -> String {
             .collect(),
         None => Vec::new(),
     };
-    bodies.push(findings::chapter(results, |number| evidence.get(number).cloned().unwrap_or_default()));
+    let mut left = String::new();
+    if let Some(discovery) = contents.discovery {
+        let nameless = findings::nameless(discovery).into_iter();
+        for figure in nameless.chain(left::figures(&contents.own, discovery)) {
+            left += &plots.add(Some(figure), "");
+        }
+    }
+    bodies.push(findings::chapter(results, |number| evidence.get(number).cloned().unwrap_or_default(), &left));
     let mut observed = plots.add(observability::figure(results), "");
     observed += &observability::chapter(results);
     bodies.push(observed);

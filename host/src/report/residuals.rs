@@ -41,60 +41,111 @@ pub fn in_space(tried: &Tried<'_>, model: &Model, values: &Value) -> Figure {
             levels[level].push((position.at, error));
         }
     });
-    let step = levels[0].len().div_ceil(MOST).max(1);
-    for level in &mut levels {
-        *level = std::mem::take(level).into_iter().step_by(step).collect();
-    }
-    let extent = levels[0]
+    let same = values["thermal"] == values["geometric"];
+    let kinds = levels.into_iter().enumerate().filter(|(place, points)| !points.is_empty() && (*place != 2 || !same));
+    let kinds = kinds.map(|(place, points)| Vectors {
+        name: LEVEL_NAMES[place],
+        color: level_style(place).0,
+        points,
+        hidden: place == 0,
+        sets_the_size: place == 1,
+    });
+    let which =
+        cycle.map_or_else(|| "of all cycles".to_owned(), |cycle| format!("of cycle {cycle}, which drifts most"));
+    drawn(&Drawing {
+        id: "residual-vectors",
+        title: "Residual vectors over the arm",
+        which: &which,
+        hint: "click 'nominal' to see the arm before calibration",
+        alt: "for each level of the model",
+        kinds: kinds.collect(),
+        arm: skeleton(tried, model, cycle),
+    })
+}
+
+/// Residual vectors of one kind: where each was measured, and measured less predicted there, metres.
+pub(super) struct Vectors {
+    /// Its name in the legend.
+    pub name: &'static str,
+    /// Its colour by name.
+    pub color: &'static str,
+    /// The points and their errors; those of all kinds are the same points.
+    pub points: Vec<(Vector3<f64>, Vector3<f64>)>,
+    /// Whether it is shown when its name is clicked only.
+    pub hidden: bool,
+    /// Whether the magnification is chosen for it.
+    pub sets_the_size: bool,
+}
+
+/// Residual vectors in space, of several kinds.
+pub(super) struct Drawing<'a> {
+    /// Its name within the page.
+    pub id: &'a str,
+    /// What stands above it.
+    pub title: &'a str,
+    /// Which points are drawn.
+    pub which: &'a str,
+    /// What can be clicked.
+    pub hint: &'a str,
+    /// What the kinds are, for those who do not see them.
+    pub alt: &'a str,
+    /// The vectors.
+    pub kinds: Vec<Vectors>,
+    /// The arm.
+    pub arm: Value,
+}
+
+/// The plot of residual vectors.
+pub(super) fn drawn(drawing: &Drawing<'_>) -> Figure {
+    let Drawing { kinds, which, .. } = drawing;
+    let all = kinds.first().map_or(&[][..], |kind| &kind.points);
+    let step = all.len().div_ceil(MOST).max(1);
+    let extent = all
         .iter()
         .flat_map(|(at, _)| [at.min(), at.max()])
         .fold((f64::INFINITY, f64::NEG_INFINITY), |r, v| (r.0.min(v), r.1.max(v)));
-    let mut norms: Vec<f64> = levels[1].iter().map(|(_, error)| error.norm()).collect();
+    let sizing = kinds.iter().find(|kind| kind.sets_the_size).map_or(all, |kind| &kind.points);
+    let mut norms: Vec<f64> = sizing.iter().step_by(step).map(|(_, error)| error.norm()).collect();
     norms.sort_by(f64::total_cmp);
     let large = norms.get(norms.len() * 9 / 10).copied().unwrap_or(0.0).max(1e-9);
     let magnified = nice(SHARE * (extent.1 - extent.0).abs().max(0.1) / large);
 
-    let mut traces = vec![skeleton(tried, model, cycle)];
-    let at: Vec<Option<Vector3<f64>>> = levels[0].iter().map(|(at, _)| Some(*at)).collect();
+    let mut traces = vec![drawing.arm.clone()];
     traces.push(with(
-        line("measured points", at),
+        line("measured points", all.iter().step_by(step).map(|(at, _)| Some(*at))),
         json!({"mode": "markers", "marker": {"size": 2, "color": "@muted"}, "hoverinfo": "skip"}),
     ));
-    for (place, points) in levels.iter().enumerate().filter(|(_, points)| !points.is_empty()) {
-        if place == 2 && values["thermal"] == values["geometric"] {
-            continue;
-        }
-        let (color, ..) = level_style(place);
-        let ends = points.iter().flat_map(|(at, error)| [Some(*at), Some(at + magnified * error), None]);
-        let texts: Vec<Value> = points
-            .iter()
+    for kind in kinds {
+        let points = || kind.points.iter().step_by(step);
+        let ends = points().flat_map(|(at, error)| [Some(*at), Some(at + magnified * error), None]);
+        let texts: Vec<Value> = points()
             .flat_map(|(_, error)| {
                 let words = json!(format!("{:.3} mm", 1e3 * error.norm()));
                 [words.clone(), words, Value::Null]
             })
             .collect();
         let mut vectors = with(
-            line(LEVEL_NAMES[place], ends),
-            json!({"line": {"color": color, "width": 4}, "text": texts, "hoverinfo": "text+name"}),
+            line(kind.name, ends),
+            json!({"line": {"color": kind.color, "width": 4}, "text": texts, "hoverinfo": "text+name"}),
         );
-        if place == 0 {
+        if kind.hidden {
             vectors["visible"] = json!("legendonly");
         }
         traces.push(vectors);
     }
-    let which =
-        cycle.map_or_else(|| "of all cycles".to_owned(), |cycle| format!("of cycle {cycle}, which drifts most"));
     let titled = |text: &str| json!({"title": {"text": text}});
     Figure {
-        id: "residual-vectors".to_owned(),
-        title: format!("Residual vectors over the arm, {magnified:.0} times their size"),
+        id: drawing.id.to_owned(),
+        title: format!("{}, {magnified:.0} times their size", drawing.title),
         caption: format!(
-            "From each measured point {which}, measured less predicted, magnified {magnified:.0} times. Drag to turn; click \
-             'nominal' to see the arm before calibration. Vectors that agree point at a cause; vectors that do not are noise."
+            "From each measured point {which}, measured less predicted, magnified {magnified:.0} times. Drag to turn; {}. \
+             Vectors that agree point at a cause; vectors that do not are noise.",
+            drawing.hint
         ),
         alt: format!(
-            "{} residual vectors in space over the skeleton of the arm, {which}, for each level of the model",
-            levels[0].len()
+            "{} residual vectors in space over the skeleton of the arm, {which}, {}",
+            all.len().div_ceil(step),
+            drawing.alt
         ),
         height: 560,
         traces,
@@ -105,7 +156,7 @@ pub fn in_space(tried: &Tried<'_>, model: &Model, values: &Value) -> Figure {
 }
 
 /// The arm at its first posture there, as a line through the origins of its frames.
-fn skeleton(tried: &Tried<'_>, model: &Model, cycle: Option<u64>) -> Value {
+pub(super) fn skeleton(tried: &Tried<'_>, model: &Model, cycle: Option<u64>) -> Value {
     let visits = &tried.trial.campaign.visits;
     let visit =
         visits.iter().find(|visit| cycle.is_none_or(|cycle| cycle == u64::from(visit.cycle))).or(visits.first());

@@ -5,11 +5,16 @@
 //! accessibility and is part of tests only.
 
 use std::io::{BufRead, BufReader, Write};
-use std::path::Path;
+use std::path::PathBuf;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
+
+/// How a page is looked at: the window's width and the scheme of colours.
+pub const LOOKS: [(u32, &str); 3] = [(1280, "light"), (1280, "dark"), (480, "light")];
 
 /// The names that Chromium has.
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
@@ -113,7 +118,9 @@ impl Browser {
     /// Waits until a script says true.
     pub fn wait(&mut self, ready: &str) {
         let begun = Instant::now();
-        while self.evaluate(&format!("Boolean({ready})")) != true {
+        // What the script looks at may not be there yet.
+        let asked = format!("(() => {{ try {{ return Boolean({ready}); }} catch {{ return false; }} }})()");
+        while self.evaluate(&asked) != true {
             assert!(begun.elapsed() < PATIENCE, "not so after {PATIENCE:?}: {ready}");
             std::thread::sleep(Duration::from_millis(30));
         }
@@ -154,14 +161,21 @@ impl Browser {
         found.as_array().into_iter().flatten().filter_map(|line| line.as_str().map(str::to_owned)).collect()
     }
 
-    /// Presses a key.
-    pub fn press(&mut self, key: &str) {
+    /// Presses a key, as `Tab` or `Enter`, of this number.
+    pub fn press(&mut self, key: &str, number: u32) {
         for kind in ["rawKeyDown", "keyUp"] {
-            self.call(
-                "Input.dispatchKeyEvent",
-                json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": 9}),
-            );
+            let event = json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": number});
+            self.call("Input.dispatchKeyEvent", event);
         }
+    }
+
+    /// Leaves a picture of the whole page for people, in `target/tmp/pages`.
+    pub fn picture(&mut self, name: &str) {
+        let answer = self.call("Page.captureScreenshot", json!({"captureBeyondViewport": true, "format": "png"}));
+        let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("pages");
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let bytes = STANDARD.decode(answer["data"].as_str().expect("a picture")).expect("base64");
+        std::fs::write(folder.join(format!("{name}.png")), bytes).expect("written");
     }
 }
 
@@ -171,9 +185,4 @@ impl Drop for Browser {
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
-}
-
-/// The address of a file.
-pub fn address(file: &Path) -> String {
-    format!("file://{}", file.canonicalize().expect("it is there").display())
 }

@@ -86,7 +86,7 @@ pub fn configuration(arguments: &PageArguments) -> Result<Configuration, Failure
         let count = board.sensors.len();
         return Err(wrong(format!("board {number} has {count} sensors, its firmware reads at most {MOST_SENSORS}")));
     }
-    if let Some(address) = board.sensors.iter().find(|address| !ADDRESSES.contains(address)) {
+    if let Some(address) = board.sensors.iter().find(|address| !ADDRESSES.contains(*address)) {
         return Err(wrong(format!(
             "board {number}: a MAX30205 cannot have address 0x{address:02X}, only 0x40 to 0x5F"
         )));
