@@ -4,6 +4,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::unknown::{GrowthTerm, Names};
+use crate::effect::{Growing, Seen};
 use crate::robot::{Chain, Posture};
 
 /// A measured position of a target, world frame, metres.
@@ -117,6 +118,23 @@ impl Campaign {
             growth: self.growth.clone(),
             visits: Vec::new(),
         }
+    }
+
+    /// The visits as effects see them.
+    pub fn seen(&self) -> impl Iterator<Item = Seen> {
+        self.visits.iter().map(|visit| Seen {
+            place: visit.place,
+            joints: visit.posture.positions(),
+            rises: visit.rises.clone(),
+        })
+    }
+
+    /// What grows with which sensor, by coefficients in the order of the growth's terms.
+    pub fn growing(&self, coefficients: &[f64]) -> Vec<Growing> {
+        let terms = self.growth.iter().zip(coefficients);
+        terms
+            .map(|(term, &coefficient)| Growing { parameter: term.parameter, sensor: term.sensor, coefficient })
+            .collect()
     }
 
     /// The targets that any visit saw.

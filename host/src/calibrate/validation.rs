@@ -11,7 +11,7 @@ use super::identify::{Manner, identify};
 use super::observe::{ObserveOptions, Observed, observe};
 use super::problem::Problem;
 use super::unknown::{GrowthTerm, State};
-use crate::effect::{Growing, Scene, Seen, adjustments};
+use crate::effect::{Scene, adjustments};
 use crate::input::InputError;
 use crate::model::{ErrorTally, Errors, Level, Model};
 use crate::robot::Robot;
@@ -220,28 +220,18 @@ pub fn validate(
 
 /// The run as the model's effects see it, with the thermal model fitted together with them.
 fn scene_of(model: &Model, run: &Run, observed: &Observed, campaign: &Campaign, coefficients: &[f64]) -> Scene {
-    let seen = campaign.visits.iter().map(|visit| Seen {
-        place: visit.place,
-        joints: visit.posture.positions(),
-        rises: visit.rises.clone(),
-    });
     // Torques follow from the geometry that discovery took them from.
     let mut scene = Scene::new(
         &observed.robot,
         run,
-        seen,
+        campaign.seen(),
         &model.reference.parameters,
         &observed.temperatures,
         observed.nominal.geometry.targets.clone(),
         &observed.unknown_targets,
     );
     scene.air_reference_c = model.extended.as_ref().and_then(|extended| extended.air_reference_c);
-    scene.growth = campaign
-        .growth
-        .iter()
-        .zip(coefficients)
-        .map(|(term, &coefficient)| Growing { parameter: term.parameter, sensor: term.sensor, coefficient })
-        .collect();
+    scene.growth = campaign.growing(coefficients);
     scene
 }
 

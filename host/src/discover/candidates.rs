@@ -5,9 +5,10 @@ use std::collections::{BTreeMap, HashMap};
 use nalgebra::DMatrix;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use rayon::prelude::*;
 
 use super::chance::{ln_chi_square, ln_likelihood_ratio, ln_smallest_of};
-use super::normal::{Factor, Normal, Strata, Whitened};
+use super::normal::{Factor, Normal, Strata};
 use super::postures::{AtPostures, Draws, Products};
 use super::stage::{Column, Stage};
 use crate::effect::pattern::Pattern;
@@ -133,7 +134,7 @@ fn is_static(stage: &Stage, columns: &[Column]) -> bool {
 }
 
 /// The models of noise that a test chooses from: the sizes of shared errors, with and without an effect, are the likeliest.
-pub struct Rivals {
+struct Rivals {
     factors: Vec<Factor>,
     /// The best log likelihood without any effect.
     nothing: f64,
@@ -145,7 +146,7 @@ pub struct Rivals {
 
 impl Rivals {
     /// The rivals about given strata.
-    pub fn new(normal: &Normal<'_>, strata: &Strata) -> Rivals {
+    fn new(normal: &Normal<'_>, strata: &Strata) -> Rivals {
         let some = |sigma: f64| if sigma > 0.0 { vec![0.0, 0.4 * sigma, 0.7 * sigma, sigma] } else { vec![0.0] };
         let mut pairs: Vec<(f64, f64)> = some(strata.posture).into_iter().map(|p| (p, strata.cycle)).collect();
         pairs.extend(some(strata.cycle).into_iter().map(|c| (strata.posture, c)));
@@ -165,8 +166,8 @@ impl Rivals {
 }
 
 /// An effect that explains more than shared errors of postures and cycles by this log likelihood, and by what the choice
-/// among its shapes is worth, with none of them left, is held against noise without them: shared errors are a name for what is not known, and an effect of a few numbers
-/// takes all of them away only if it is their cause.
+/// among its shapes is worth, with none of them left, is held against noise without them: shared errors are a name for what
+/// is not known, and an effect of a few numbers takes all of them away only if it is their cause.
 const INSTEAD: f64 = 2.0;
 
 /// A shape with its gain.
@@ -179,62 +180,165 @@ struct Tried {
     visible: f64,
 }
 
-fn try_shape(
-    normal: &Normal<'_>,
-    rivals: &Rivals,
-    products: &Products<'_>,
-    columns: &[Column],
-    candidate: &Candidate,
-    shape: &[f64],
-    trials: &Trials,
-) -> Option<Tried> {
-    let mut best: Option<(f64, &Factor, usize, Vec<f64>, f64)> = None;
-    // The chance in noise that postures and cycles do not share.
-    let mut instead = 0.0_f64;
-    for (rank, factor) in rivals.factors.iter().enumerate() {
-        let projected = products.project(rank, factor);
-        let (drop, freedom, coefficients) = projected.drop();
-        let gain = factor.log_likelihood + 0.5 * drop - rivals.nothing;
-        if freedom > 0 && factor.is_unshared() && gain > INSTEAD + trials.tests(candidate, shape, drop).ln() {
-            instead = ln_chi_square(drop, freedom);
-        }
-        if freedom > 0 && best.as_ref().is_none_or(|(other, ..)| gain > *other) {
-            let before: f64 = projected.before.iter().map(|norm| norm * norm).sum();
-            let visible = projected.own.trace() / before;
-            best = Some((gain, factor, freedom, coefficients.iter().copied().collect(), visible));
-        }
-    }
-    let (gain, factor, freedom, coefficients, visible) = best?;
-    if gain <= 0.0 || !candidate.effect.is_plausible(shape, &coefficients) {
-        return None;
-    }
-    let numbers = match factor.posture > 0.0 && is_static(normal.white.stage, columns) {
-        true => rivals.between,
-        false => rivals.within,
-    };
-    let ln_p = ln_likelihood_ratio(2.0 * gain, freedom, numbers).min(instead);
-    Some(Tried { shape: shape.to_vec(), coefficients, ratio: 2.0 * gain, freedom, ln_p, visible })
+/// What candidates are tested against: what a fit leaves, under every noise that a test chooses from.
+pub struct Ground<'a> {
+    normal: Normal<'a>,
+    rivals: Rivals,
+    scene: &'a Scene,
+    /// Corrects each candidate for its shapes.
+    trials: &'a Trials,
 }
 
-/// Scores of all candidates that gain anything, best first. `trials` corrects each for its shapes.
-pub fn score(
-    normal: &Normal<'_>,
-    rivals: &Rivals,
-    scene: &Scene,
-    candidates: &[Candidate],
-    trials: &Trials,
-) -> Vec<Score> {
-    let stage = normal.white.stage;
-    let at_postures = AtPostures::new(normal, &rivals.factors, None);
-    let mut scores = in_two(candidates, |candidate| {
-        let shapes = worth_a_look(&at_postures, stage, scene, candidate);
-        let tried = shapes.into_iter().filter_map(|(shape, columns)| {
-            try_shape(normal, rivals, &at_postures.products(&columns), &columns, candidate, &shape, trials)
-        });
-        tried.map(|tried| score_of(candidate, tried, trials)).min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))
-    });
-    scores.sort_by(|a, b| a.ln_p.total_cmp(&b.ln_p));
-    scores
+impl<'a> Ground<'a> {
+    /// The ground of a stage with its strata of noise.
+    pub fn new(stage: &'a Stage, strata: &Strata, scene: &'a Scene, trials: &'a Trials) -> Self {
+        let normal = Normal::new(stage, strata);
+        let rivals = Rivals::new(&normal, strata);
+        Self { normal, rivals, scene, trials }
+    }
+
+    fn stage(&self) -> &'a Stage {
+        self.normal.white.stage
+    }
+
+    /// Scores of all candidates that gain anything, best first.
+    pub fn score(&self, candidates: &[Candidate]) -> Vec<Score> {
+        let at_postures = AtPostures::new(&self.normal, &self.rivals.factors, None);
+        let of_candidate = |candidate: &Candidate| {
+            let shapes = worth_a_look(&at_postures, self.stage(), self.scene, candidate);
+            let tried = shapes.into_iter().filter_map(|(shape, columns)| {
+                self.try_columns(&at_postures.products(&columns), &columns, candidate, &shape)
+            });
+            tried.map(|tried| score_of(candidate, tried, self.trials)).min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))
+        };
+        let mut scores: Vec<Score> = candidates.par_iter().filter_map(of_candidate).collect();
+        scores.sort_by(|a, b| a.ln_p.total_cmp(&b.ln_p));
+        scores
+    }
+
+    fn try_shape(&self, candidate: &Candidate, shape: &[f64]) -> Option<Tried> {
+        let columns = columns(self.stage(), self.scene, candidate, shape);
+        self.try_columns(&Products::Columns(self.normal.cross(&columns)), &columns, candidate, shape)
+    }
+
+    fn try_columns(
+        &self,
+        products: &Products<'_>,
+        columns: &[Column],
+        candidate: &Candidate,
+        shape: &[f64],
+    ) -> Option<Tried> {
+        let mut best: Option<(f64, &Factor, usize, Vec<f64>, f64)> = None;
+        // The chance in noise that postures and cycles do not share.
+        let mut instead = 0.0_f64;
+        for (rank, factor) in self.rivals.factors.iter().enumerate() {
+            let projected = products.project(rank, factor);
+            let (drop, freedom, coefficients) = projected.drop();
+            let gain = factor.log_likelihood + 0.5 * drop - self.rivals.nothing;
+            if freedom > 0 && factor.is_unshared() && gain > INSTEAD + self.trials.tests(candidate, shape, drop).ln() {
+                instead = ln_chi_square(drop, freedom);
+            }
+            if freedom > 0 && best.as_ref().is_none_or(|(other, ..)| gain > *other) {
+                let before: f64 = projected.before.iter().map(|norm| norm * norm).sum();
+                let visible = projected.own.trace() / before;
+                best = Some((gain, factor, freedom, coefficients.iter().copied().collect(), visible));
+            }
+        }
+        let (gain, factor, freedom, coefficients, visible) = best?;
+        if gain <= 0.0 || !candidate.effect.is_plausible(shape, &coefficients) {
+            return None;
+        }
+        let numbers = match factor.posture > 0.0 && is_static(self.stage(), columns) {
+            true => self.rivals.between,
+            false => self.rivals.within,
+        };
+        let ln_p = ln_likelihood_ratio(2.0 * gain, freedom, numbers).min(instead);
+        Some(Tried { shape: shape.to_vec(), coefficients, ratio: 2.0 * gain, freedom, ln_p, visible })
+    }
+
+    /// The gains of a step at every time between two visits near one.
+    fn step_profile(&self, instance: &Instance) -> Vec<Gap> {
+        const NEAR: usize = 12;
+        let candidate = Candidate { effect: instance.effect, site: instance.site.clone() };
+        let Some((time_place, &time)) = instance.shape.iter().enumerate().next_back() else { return Vec::new() };
+        let mut times: Vec<f64> = self.scene.visits.iter().map(|visit| visit.time_s).collect();
+        times.dedup();
+        let after = times.partition_point(|&other| other < time);
+        let gaps = after.saturating_sub(NEAR).max(1)..(after + NEAR).min(times.len());
+        gaps.map(|gap| {
+            let mut shape = instance.shape.clone();
+            shape[time_place] = 0.5 * (times[gap - 1] + times[gap]);
+            let tried = self.try_shape(&candidate, &shape);
+            Gap { from_s: times[gap - 1], to_s: times[gap], tried }
+        })
+        .collect()
+    }
+
+    /// Between which visits a step lies with 95 % confidence; none where nothing speaks for it.
+    pub fn step_between(&self, instance: &Instance) -> Option<(f64, f64)> {
+        let profile = self.step_profile(instance);
+        let best = profile.iter().map(Gap::ratio).fold(0.0, f64::max);
+        let mut near = profile.iter().filter(|gap| gap.ratio() > best - ALLOWED_DROP);
+        let first = near.next()?;
+        Some((first.from_s, near.next_back().unwrap_or(first).to_s))
+    }
+
+    /// A candidate's best shape near one: a scan around it, twice, ever finer.
+    pub fn refine(&self, score: &Score) -> Score {
+        const EACH_SIDE: i32 = 4;
+        let candidate = Candidate { effect: score.instance.effect, site: score.instance.site.clone() };
+        let mut reach = candidate.effect.refine(self.scene, &score.instance.shape);
+        if !candidate.effect.is_smooth() {
+            if reach.iter().all(|reach| *reach == 0.0) {
+                return score.clone();
+            }
+            let profile = self.step_profile(&score.instance);
+            let best = profile.into_iter().filter_map(|gap| gap.tried).max_by(|a, b| a.ratio.total_cmp(&b.ratio));
+            let better = best.filter(|best| best.ratio > score.ratio);
+            return better.map_or_else(|| score.clone(), |best| score_of(&candidate, best, self.trials));
+        }
+        let mut best = score.clone();
+        for _ in 0..2 {
+            for number in 0..reach.len() {
+                if reach[number] <= 0.0 {
+                    continue;
+                }
+                let center = best.instance.shape.clone();
+                for step in (-EACH_SIDE..=EACH_SIDE).filter(|step| *step != 0) {
+                    let mut shape = center.clone();
+                    shape[number] += reach[number] * f64::from(step) / f64::from(EACH_SIDE);
+                    if shape[number] * center[number] <= 0.0 && center[number] != 0.0 {
+                        continue;
+                    }
+                    let tried = self.try_shape(&candidate, &shape);
+                    if let Some(tried) = tried.filter(|tried| tried.ratio > best.ratio) {
+                        best = score_of(&candidate, tried, self.trials);
+                    }
+                }
+                reach[number] /= f64::from(EACH_SIDE);
+            }
+        }
+        best
+    }
+}
+
+/// Of twice the log likelihood, the drop that a 95 % interval allows.
+const ALLOWED_DROP: f64 = 3.84;
+
+/// A step at a time between two visits.
+struct Gap {
+    /// The visits' times.
+    from_s: f64,
+    to_s: f64,
+    /// None where it gains nothing.
+    tried: Option<Tried>,
+}
+
+impl Gap {
+    /// Twice the gain of log likelihood.
+    fn ratio(&self) -> f64 {
+        self.tried.as_ref().map_or(0.0, |tried| tried.ratio)
+    }
 }
 
 /// Of long scans the shapes that explain most by a rough measure, with their columns; all shapes of short ones.
@@ -270,110 +374,6 @@ fn score_of(candidate: &Candidate, tried: Tried, trials: &Trials) -> Score {
     Score { instance, ratio: tried.ratio, freedom: tried.freedom, ln_p, visible: tried.visible }
 }
 
-/// The gains of a step at every time between two visits near one: times, the visits' times about each, twice the gain.
-pub fn step_profile(
-    normal: &Normal<'_>,
-    rivals: &Rivals,
-    scene: &Scene,
-    instance: &Instance,
-    trials: &Trials,
-) -> Vec<(f64, f64, f64, Option<Score>)> {
-    const NEAR: usize = 12;
-    let candidate = Candidate { effect: instance.effect, site: instance.site.clone() };
-    let Some((time_place, &time)) = instance.shape.iter().enumerate().next_back() else { return Vec::new() };
-    let mut times: Vec<f64> = scene.visits.iter().map(|visit| visit.time_s).collect();
-    times.dedup();
-    let after = times.partition_point(|&other| other < time);
-    let gaps = after.saturating_sub(NEAR).max(1)..(after + NEAR).min(times.len());
-    gaps.map(|gap| {
-        let mut shape = instance.shape.clone();
-        shape[time_place] = 0.5 * (times[gap - 1] + times[gap]);
-        let columns = columns(normal.white.stage, scene, &candidate, &shape);
-        let tried =
-            try_shape(normal, rivals, &Products::Columns(normal.cross(&columns)), &columns, &candidate, &shape, trials);
-        let ratio = tried.as_ref().map_or(0.0, |tried| tried.ratio);
-        (times[gap - 1], times[gap], ratio, tried.map(|tried| score_of(&candidate, tried, &Trials::default())))
-    })
-    .collect()
-}
-
-/// A candidate's best shape near one: a scan around it, twice, ever finer.
-pub fn refine(normal: &Normal<'_>, rivals: &Rivals, scene: &Scene, score: &Score, trials: &Trials) -> Score {
-    const EACH_SIDE: i32 = 4;
-    let candidate = Candidate { effect: score.instance.effect, site: score.instance.site.clone() };
-    if !candidate.effect.is_smooth() {
-        if candidate.effect.refine(scene, &score.instance.shape).iter().all(|reach| *reach == 0.0) {
-            return score.clone();
-        }
-        let profile = step_profile(normal, rivals, scene, &score.instance, trials);
-        let best = profile.into_iter().filter_map(|(.., own)| own).max_by(|a, b| a.ratio.total_cmp(&b.ratio));
-        return best.filter(|best| best.ratio > score.ratio).map_or_else(
-            || score.clone(),
-            |best| {
-                // The chance of the best point of the grid, at the drop that was found between.
-                let ln_p = trials.over_shapes(&candidate, &best.instance.shape, best.ln_p, best.ratio);
-                Score { ln_p, ..best }
-            },
-        );
-    }
-    let mut best = score.clone();
-    let mut reach = candidate.effect.refine(scene, &best.instance.shape);
-    for _ in 0..2 {
-        for number in 0..reach.len() {
-            if reach[number] <= 0.0 {
-                continue;
-            }
-            let center = best.instance.shape.clone();
-            for step in (-EACH_SIDE..=EACH_SIDE).filter(|step| *step != 0) {
-                let mut shape = center.clone();
-                shape[number] += reach[number] * f64::from(step) / f64::from(EACH_SIDE);
-                if shape[number] * center[number] <= 0.0 && center[number] != 0.0 {
-                    continue;
-                }
-                let columns = columns(normal.white.stage, scene, &candidate, &shape);
-                let tried = try_shape(
-                    normal,
-                    rivals,
-                    &Products::Columns(normal.cross(&columns)),
-                    &columns,
-                    &candidate,
-                    &shape,
-                    trials,
-                );
-                if let Some(tried) = tried.filter(|tried| tried.ratio > best.ratio) {
-                    best = score_of(&candidate, tried, trials);
-                }
-            }
-            reach[number] /= f64::from(EACH_SIDE);
-        }
-    }
-    best
-}
-
-/// Runs over the items on two threads, in order.
-fn in_two<T: Sync, R: Send>(items: &[T], of: impl Fn(&T) -> Option<R> + Sync) -> Vec<R> {
-    // Interleaved: neighbours cost alike, and an effect's places lie side by side.
-    let half = |parity: usize| -> Vec<(usize, R)> {
-        items
-            .iter()
-            .enumerate()
-            .filter(|(rank, _)| rank % 2 == parity)
-            .filter_map(|(rank, item)| Some((rank, of(item)?)))
-            .collect()
-    };
-    let mut all = std::thread::scope(|scope| {
-        let other = scope.spawn(|| half(1));
-        let mut own = half(0);
-        match other.join() {
-            Ok(rest) => own.extend(rest),
-            Err(panic) => std::panic::resume_unwind(panic),
-        }
-        own
-    });
-    all.sort_by_key(|(rank, _)| *rank);
-    all.into_iter().map(|(_, result)| result).collect()
-}
-
 /// Draws of noise by which the search is calibrated: as many as memory allows for large runs.
 const DRAWS: usize = 200;
 const LARGEST: usize = 30_000_000;
@@ -392,8 +392,7 @@ fn white_noise(random: &mut ChaCha8Rng, rows: usize, draws: usize) -> DMatrix<f6
 pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candidate], seed: u64) -> Trials {
     let draws = (LARGEST / (stage.blocks.len() * stage.places.count())).clamp(40, DRAWS);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let white = Whitened::new(stage, strata);
-    let normal = Normal::with_draws(&white, strata, draws, |rows| white_noise(&mut random, rows, draws));
+    let normal = Normal::with_draws(stage, strata, draws, |rows| white_noise(&mut random, rows, draws));
     let Some(factor) = normal.system.factor(strata.posture, strata.cycle) else { return Trials::default() };
     let layout = normal.system.layout;
     let mut shared = DMatrix::zeros(layout.count(), draws);
@@ -409,7 +408,7 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
     let draws_of = || Draws { turned: &turned, shared: &shared };
     let at_postures = AtPostures::new(&normal, &factors, Some(draws_of()));
     // For each family of a candidate's shapes and each draw: the smallest chance, and the drop that it belongs to.
-    let results: Vec<(Family, Vec<(f64, f64)>)> = in_two(candidates, |candidate| {
+    let of_candidate = |candidate: &Candidate| {
         let mut largest: BTreeMap<(u8, usize), Vec<f64>> = BTreeMap::new();
         for shape in candidate.effect.shapes(scene, &candidate.site) {
             let columns = columns(stage, scene, candidate, &shape);
@@ -431,11 +430,9 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
             }
         }
         let key = |family| (candidate.effect.name(), candidate.site.clone(), family);
-        Some(families.into_iter().map(|(family, smallest)| (key(family), smallest)).collect::<Vec<_>>())
-    })
-    .into_iter()
-    .flatten()
-    .collect();
+        families.into_iter().map(|(family, smallest)| (key(family), smallest)).collect::<Vec<_>>()
+    };
+    let results: Vec<(Family, Vec<(f64, f64)>)> = candidates.par_iter().flat_map_iter(of_candidate).collect();
     let each: HashMap<_, _> = results
         .iter()
         .map(|(key, smallest)| {

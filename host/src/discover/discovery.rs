@@ -13,7 +13,7 @@ use super::separate::{Doubt, separated_by};
 use super::stage::{Point, Stage, errors};
 use crate::calibrate::{Calibration, CalibrationError, Campaign, Request, calibrate, start};
 use crate::effect::pattern;
-use crate::effect::{Instance, Scene, Seen, SiteNames};
+use crate::effect::{Instance, Scene, SiteNames};
 use crate::model::{ErrorTally, Errors};
 use crate::robot::Robot;
 use crate::run::Run;
@@ -220,8 +220,11 @@ pub fn discover_in_steps(
     }
     let mut set_aside: Vec<Outlier> = Vec::new();
     let mut again = AGAIN;
+    let mut looks_for_wrong = true;
     let (calibration, scene, unknowns, beginning, found) = loop {
-        let (calibration, mut scene) = baseline_of(robot, &labelled, &mut set_aside, &request.calibration)?;
+        let (calibration, mut scene) =
+            baseline_of(robot, &labelled, &mut set_aside, looks_for_wrong, &request.calibration)?;
+        looks_for_wrong = false;
         let unknowns = positional(&calibration.joint.unknowns);
         let beginning = Point { state: calibration.state.clone(), effects: Vec::new() };
         let campaign = &calibration.campaign;
@@ -283,6 +286,7 @@ pub fn discover_in_steps(
         }
     }
     done();
+    let floor_of_noise_m = floor_m(&found.last.stage, &found.last.strata);
     for (place, named) in found.named.iter().enumerate() {
         let instance = &found.last.point.effects[place];
         if is_pattern(instance.effect) {
@@ -305,7 +309,7 @@ pub fn discover_in_steps(
                         scene: &scene,
                         unknowns: &unknowns,
                         fitted: &found.last,
-                        floor_m: floor(&found.last.stage, &found.last.strata),
+                        floor_m: floor_of_noise_m,
                     },
                     place,
                     &rival.instance,
@@ -320,17 +324,11 @@ pub fn discover_in_steps(
             evidence: None,
         });
     }
-    let level = |point: &Point, held_out: Option<ErrorTally>| {
-        let mut tally = ErrorTally::default();
-        errors(&campaign, &scene, point, |_, _, error| tally.add(error.norm()));
-        Level { fitted: tally.errors(), held_out: held_out.map(|tally| tally.errors()) }
-    };
-    let baseline = level_of_baseline(&campaign, &scene, &found.baseline.point, held_out_before);
-    let extended = level(&found.last.point, held_out_after);
+    let baseline = level(&campaign, &scene, &found.baseline.point, held_out_before);
+    let extended = level(&campaign, &scene, &found.last.point, held_out_after);
     let unexplained = rest(&campaign, &scene, &found, baseline.fitted.rms_mm);
     let sigma = campaign.visits.iter().map(|visit| visit.sigma).sum::<f64>() / campaign.visits.len() as f64;
     let noise = found.last.strata.clone();
-    let floor_rms_mm = floor(&found.last.stage, &noise) * 1e3;
     let notes = calibration.notes.clone();
     let test = |score: &Score| Test {
         effect: score.instance.effect.name(),
@@ -339,12 +337,12 @@ pub fn discover_in_steps(
         ratio: score.ratio,
         visible: score.visible,
     };
-    let tests = found.tests.iter().map(test).collect();
+    let tests = found.tests().into_iter().map(test).collect();
     done();
     Ok(Discovery {
         notes,
         noise_um: noise.point * sigma * 1e6,
-        floor_rms_mm,
+        floor_rms_mm: floor_of_noise_m * 1e3,
         noise,
         unexplained,
         baseline,
@@ -358,25 +356,28 @@ pub fn discover_in_steps(
     })
 }
 
-/// Calibrates what is left of a run when plainly wrong points are set aside; those are added to.
+/// Calibrates what is left of a run when plainly wrong points are set aside. Where it `looks_for_wrong` ones, they are added.
 fn baseline_of(
     robot: &Robot,
     run: &Run,
     set_aside: &mut Vec<Outlier>,
+    looks_for_wrong: bool,
     request: &Request,
 ) -> Result<(Calibration, Scene), DiscoveryError> {
-    let known = !set_aside.is_empty();
     let mut rounds = 0;
     loop {
         let cleaned = without(run, set_aside);
         let calibration = calibrate(robot, &cleaned, request, |_| true)?;
         let mut scene = scene_of(&calibration, &cleaned);
+        if !looks_for_wrong || rounds == ROUNDS {
+            return Ok((calibration, scene));
+        }
         let point = Point { state: calibration.state.clone(), effects: Vec::new() };
         update_growth(&mut scene, &calibration.campaign, &point);
         let stage = Stage::new(&calibration.campaign, &scene, &point, &positional(&calibration.joint.unknowns));
         let wrong = outliers(&calibration.campaign, &stage);
         rounds += 1;
-        if known || wrong.is_empty() || rounds > ROUNDS {
+        if wrong.is_empty() {
             return Ok((calibration, scene));
         }
         set_aside.extend(wrong);
@@ -399,7 +400,7 @@ fn still_wrong(
     Ok(outliers(&whole, &stage))
 }
 
-fn level_of_baseline(campaign: &Campaign, scene: &Scene, point: &Point, held_out: Option<ErrorTally>) -> Level {
+fn level(campaign: &Campaign, scene: &Scene, point: &Point, held_out: Option<ErrorTally>) -> Level {
     let mut own = scene.clone();
     update_growth(&mut own, campaign, point);
     let mut tally = ErrorTally::default();
@@ -414,17 +415,12 @@ pub fn scene_of(calibration: &Calibration, run: &Run) -> Scene {
 
 /// The scene of the visits of a campaign of a run.
 pub(super) fn scene_over(campaign: &Campaign, calibration: &Calibration, run: &Run) -> Scene {
-    let seen = campaign.visits.iter().map(|visit| Seen {
-        place: visit.place,
-        joints: visit.posture.positions(),
-        rises: visit.rises.clone(),
-    });
     let robot = &calibration.model.robot;
     let unknown: Vec<usize> = (0..robot.targets.len()).filter(|&t| robot.targets[t].position.is_none()).collect();
     Scene::new(
         robot,
         run,
-        seen,
+        campaign.seen(),
         &calibration.state.geometry.parameters,
         &calibration.model.temperatures,
         calibration.state.geometry.targets.clone(),
@@ -547,16 +543,14 @@ fn cost(campaign: &Campaign, scene: &Scene, fitted: &Fit, place: usize) -> f64 {
 }
 
 /// RMS distance that noise of points and visits makes, metres.
-fn floor(stage: &Stage, noise: &Strata) -> f64 {
+fn floor_m(stage: &Stage, noise: &Strata) -> f64 {
     let (mut sum, mut points) = (0.0, 0.0);
     for block in &stage.blocks {
-        let joints = block.places.column_iter().zip(&noise.visit);
-        let moved: f64 = joints.map(|(column, sigma)| column.norm_squared() * sigma * sigma).sum();
         let rows = block.residual.len() as f64;
-        sum += (rows * noise.point.powi(2) + moved) * block.sigma * block.sigma;
+        sum += rows * (noise.point * block.sigma).powi(2);
         points += rows / 3.0;
     }
-    (sum / points).sqrt()
+    (sum / points + moved_m(stage, &noise.visit).powi(2)).sqrt()
 }
 
 /// What is left after the search: patterns that it found outside the catalogue, and errors that postures or cycles share.
@@ -578,9 +572,9 @@ fn rest(campaign: &Campaign, scene: &Scene, found: &Search, baseline_rms_mm: f64
     let Strata { posture, cycle, visit, .. } = found.last.strata.clone();
     let system = System::new(stage, &Rows::new(stage), &found.last.strata);
     let all = system.log_likelihood(posture, cycle);
-    let of_visits = moved_mm(stage, &visit);
+    let of_visits = moved_m(stage, &visit) * 1e3;
     let mut shared = |sigma: f64, without: f64, words: &str| {
-        let rms_mm = moved_mm(stage, &vec![sigma; visit.len()]);
+        let rms_mm = moved_m(stage, &vec![sigma; visit.len()]) * 1e3;
         if sigma > 0.0 && rms_mm > LEAST_SHARED * of_visits {
             // On the edge of what a variance can be, half of the chance is at zero.
             let own = 0.5_f64.ln() + ln_chi_square(2.0 * (all - without), 1);
@@ -600,14 +594,14 @@ fn rest(campaign: &Campaign, scene: &Scene, found: &Search, baseline_rms_mm: f64
     }
 }
 
-/// What errors of the joints of given sizes move the targets by, RMS, mm.
-fn moved_mm(stage: &Stage, sizes: &[f64]) -> f64 {
+/// What errors of the joints of given sizes move the targets by, RMS, metres.
+fn moved_m(stage: &Stage, sizes: &[f64]) -> f64 {
     let (mut sum, mut points) = (0.0, 0.0);
     for block in &stage.blocks {
         let joints = block.places.column_iter().zip(sizes);
-        sum +=
-            joints.map(|(column, size)| column.norm_squared() * size * size).sum::<f64>() * block.sigma * block.sigma;
+        let square: f64 = joints.map(|(column, size)| column.norm_squared() * size * size).sum();
+        sum += square * block.sigma * block.sigma;
         points += block.residual.len() as f64 / 3.0;
     }
-    (sum / points).sqrt() * 1e3
+    (sum / points).sqrt()
 }

@@ -60,16 +60,7 @@ pub fn positional(unknowns: &[Unknown]) -> Vec<Unknown> {
 
 /// Brings the thermal coefficients that effects see up to those of a point.
 pub fn update_growth(scene: &mut Scene, campaign: &Campaign, point: &Point) {
-    scene.growth = campaign
-        .growth
-        .iter()
-        .zip(&point.state.growth)
-        .map(|(term, &coefficient)| crate::effect::Growing {
-            parameter: term.parameter,
-            sensor: term.sensor,
-            coefficient,
-        })
-        .collect();
+    scene.growth = campaign.growing(&point.state.growth);
 }
 
 /// The derivative of an effect by one of its nonlinear numbers, as a column.

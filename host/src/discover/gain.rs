@@ -1,10 +1,12 @@
 //! What an extension gains on data that it was not fitted to: whole cycles and whole poses held out, the choice of effects
 //! held out with them.
 
+use rayon::prelude::*;
+
 use super::candidates::{Candidate, Trials};
 use super::fit::{Fit, fit};
 use super::normal::Strata;
-use super::search::climb;
+use super::search::Quest;
 use super::stage::{Point, errors};
 use crate::calibrate::{Campaign, Unknown};
 use crate::effect::Scene;
@@ -90,46 +92,35 @@ impl Question<'_> {
 
     /// Errors with given effects in the model, values fitted anew in every fold. None where a fold cannot be fitted.
     pub fn with(&self, point: &Point, folds: &[Fold]) -> Option<ErrorTally> {
-        let mut sum = ErrorTally::default();
-        for tally in in_two(folds, |fold| {
+        let of_fold = |fold: &Fold| {
             let (campaign, mut scene) = self.without(fold);
             let fitted = fit(&campaign, &mut scene, point.clone(), self.unknowns, self.noise.clone())?;
             Some(self.errors(fold, &fitted))
-        }) {
-            sum.merge(&tally?);
-        }
+        };
+        let tallies: Option<Vec<ErrorTally>> = folds.par_iter().map(of_fold).collect();
+        let mut sum = ErrorTally::default();
+        tallies?.iter().for_each(|tally| sum.merge(tally));
         Some(sum)
     }
 
     /// Errors without effects, and with effects searched for anew in every fold.
     pub fn nested(&self, folds: &[Fold]) -> Option<HeldOut> {
-        let mut sum = HeldOut::default();
         let bare = Point { effects: Vec::new(), ..self.start.clone() };
-        for tally in in_two(folds, |fold| {
+        let of_fold = |fold: &Fold| {
             let (campaign, mut scene) = self.without(fold);
             let baseline = fit(&campaign, &mut scene, bare.clone(), self.unknowns, self.noise.clone())?;
             let before = self.errors(fold, &baseline);
-            let extended = climb(&campaign, &mut scene, baseline, self.unknowns, self.candidates, self.trials);
+            let Question { unknowns, candidates, trials, .. } = *self;
+            let quest = Quest { campaign: &campaign, unknowns, candidates, trials };
+            let extended = quest.climb(&mut scene, baseline);
             Some((before, self.errors(fold, &extended)))
-        }) {
-            let (before, after) = tally?;
+        };
+        let tallies: Option<Vec<_>> = folds.par_iter().map(of_fold).collect();
+        let mut sum = HeldOut::default();
+        for (before, after) in tallies? {
             sum.before.merge(&before);
             sum.after.merge(&after);
         }
         Some(sum)
     }
-}
-
-/// Runs over folds on two threads.
-fn in_two<R: Send>(folds: &[Fold], of: impl Fn(&Fold) -> R + Sync) -> Vec<R> {
-    let half = |parity: usize| -> Vec<R> { folds.iter().skip(parity).step_by(2).map(&of).collect() };
-    std::thread::scope(|scope| {
-        let other = scope.spawn(|| half(1));
-        let mut all = half(0);
-        match other.join() {
-            Ok(rest) => all.extend(rest),
-            Err(panic) => std::panic::resume_unwind(panic),
-        }
-        all
-    })
 }

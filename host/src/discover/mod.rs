@@ -8,6 +8,7 @@ mod estimate;
 mod extension;
 pub mod fit;
 pub mod gain;
+mod golden;
 mod gross;
 mod noise;
 pub mod normal;

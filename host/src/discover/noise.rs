@@ -3,6 +3,7 @@
 //! The noise of a point follows from the part of each visit that no motion of the joints can make; that of a visit from what
 //! differs between visits of one posture; the shared errors of postures and cycles from what is left.
 
+use super::golden::golden;
 use super::normal::{Rows, Strata, System};
 use super::stage::Stage;
 
@@ -60,25 +61,6 @@ pub fn robust(stage: &Stage) -> Strata {
         if typical(middle.exp()) > MEDIAN_SQUARE { low = middle } else { high = middle }
     }
     Strata { point, visit: vec![low.exp(); stage.places.joints()], posture: 0.0, cycle: 0.0 }
-}
-
-/// The largest value of a function of one logarithm between bounds, by golden section.
-fn golden(mut low: f64, mut high: f64, steps: usize, mut of: impl FnMut(f64) -> f64) -> (f64, f64) {
-    const SECTION: f64 = 0.618_033_988_749_895;
-    let (mut left, mut right) = (high - SECTION * (high - low), low + SECTION * (high - low));
-    let (mut at_left, mut at_right) = (of(left), of(right));
-    for _ in 0..steps {
-        if at_left > at_right {
-            (high, right, at_right) = (right, left, at_left);
-            left = high - SECTION * (high - low);
-            at_left = of(left);
-        } else {
-            (low, left, at_left) = (left, right, at_right);
-            right = low + SECTION * (high - low);
-            at_right = of(right);
-        }
-    }
-    if at_left > at_right { (left, at_left) } else { (right, at_right) }
 }
 
 /// Bounds of a joint's error, radians: a tenth of a microradian moves a target by less than any instrument sees, ten

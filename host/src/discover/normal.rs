@@ -316,7 +316,7 @@ struct Triangle {
 /// A system with what is needed for the products of any further column.
 pub struct Normal<'a> {
     /// The whitened stage.
-    pub white: &'a Whitened<'a>,
+    pub white: Whitened<'a>,
     /// The normal equations.
     pub system: System,
     /// For each visit `[nuisance | joints | residual]ᵀ places`.
@@ -328,19 +328,19 @@ pub struct Normal<'a> {
 }
 
 impl<'a> Normal<'a> {
-    /// The normal equations of a whitened stage.
-    pub fn new(white: &'a Whitened<'a>, strata: &Strata) -> Self {
-        Self::with_draws(white, strata, 0, |_| DMatrix::zeros(0, 0))
+    /// The normal equations of a stage.
+    pub fn new(stage: &'a Stage, strata: &Strata) -> Self {
+        Self::with_draws(stage, strata, 0, |_| DMatrix::zeros(0, 0))
     }
 
     /// The same with draws of noise: `noise` gives for so many rows white noise, one column a draw.
     pub fn with_draws(
-        white: &'a Whitened<'a>,
+        stage: &'a Stage,
         strata: &Strata,
         draws: usize,
         mut noise: impl FnMut(usize) -> DMatrix<f64>,
     ) -> Self {
-        let stage = white.stage;
+        let white = Whitened::new(stage, strata);
         let rows = Rows::new(stage);
         let system = System::new(stage, &rows, strata);
         let (own, joints) = (system.layout.nuisance, system.layout.joints);

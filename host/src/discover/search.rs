@@ -1,9 +1,11 @@
 //! The search: one effect after another, each confirmed in the presence of the others, dropped when they make it needless,
 //! and exchanged where another explains more in its place.
 
-use super::candidates::{Candidate, Rivals, Score, Trials, candidates, is_pattern, refine, score, trials};
-use super::fit::{EffectCovariance, Fit, fit};
-use super::normal::{Normal, Whitened};
+use std::collections::BTreeSet;
+
+use super::candidates::{Candidate, Ground, Score, Trials, candidates, is_pattern, trials};
+use super::chance::ln_chi_square;
+use super::fit::{EffectCovariance, Fit, fit, update_growth};
 use super::stage::Point;
 use crate::calibrate::{Campaign, Unknown};
 use crate::effect::{Instance, Scene};
@@ -19,8 +21,8 @@ pub struct Search {
     pub named: Vec<Named>,
     /// How many tests the search amounts to.
     pub trials: Trials,
-    /// The best candidate of each effect on top of the baseline, the least likely to be noise first.
-    pub tests: Vec<Score>,
+    /// All candidates on top of the baseline, best first.
+    on_baseline: Vec<Score>,
 }
 
 /// An effect that was found.
@@ -59,33 +61,39 @@ const HANDICAP: f64 = 4.0;
 /// How many of the best are looked at between the points of their grids.
 const LOOKED_AT: usize = 6;
 
-/// The scores of all candidates on top of a fit, best first; patterns with their handicap.
-pub fn scores(fit: &Fit, scene: &Scene, all: &[Candidate], trials: &Trials) -> Vec<Score> {
-    let white = Whitened::new(&fit.stage, &fit.strata);
-    let normal = Normal::new(&white, &fit.strata);
-    let rivals = Rivals::new(&normal, &fit.strata);
-    let mut best = score(&normal, &rivals, scene, all, trials);
-    let level = |score: &Score| score.ln_p + if is_pattern(score.instance.effect) { HANDICAP } else { 0.0 };
-    best.sort_by(|a, b| level(a).total_cmp(&level(b)));
-    for place in 0..best.len().min(LOOKED_AT) {
-        best[place] = refine(&normal, &rivals, scene, &best[place], trials);
-    }
-    best.sort_by(|a, b| level(a).total_cmp(&level(b)));
-    best
+/// What stays the same all through a search.
+pub struct Quest<'a> {
+    /// The measurements.
+    pub campaign: &'a Campaign,
+    /// What calibration estimates.
+    pub unknowns: &'a [Unknown],
+    /// What is looked for.
+    pub candidates: &'a [Candidate],
+    /// How many tests the search amounts to.
+    pub trials: &'a Trials,
 }
 
-/// Half of a drop of twice the log likelihood that a 95 % interval allows.
-const ALLOWED_DROP: f64 = 3.84;
-
-/// Between which visits a step lies with 95 % confidence.
-fn step_between(without: &Fit, scene: &Scene, own: &Instance, trials: &Trials) -> Option<(f64, f64)> {
-    let white = Whitened::new(&without.stage, &without.strata);
-    let normal = Normal::new(&white, &without.strata);
-    let rivals = Rivals::new(&normal, &without.strata);
-    let profile = super::candidates::step_profile(&normal, &rivals, scene, own, trials);
-    let best = profile.iter().map(|(_, _, ratio, _)| *ratio).fold(0.0, f64::max);
-    let near: Vec<_> = profile.iter().filter(|(_, _, ratio, _)| *ratio > best - ALLOWED_DROP).collect();
-    Some((near.first()?.0, near.last()?.1))
+/// Searches for effects on top of a calibrated model.
+/// `done` is called twice as it goes on.
+pub fn search(
+    campaign: &Campaign,
+    scene: &mut Scene,
+    start: Point,
+    unknowns: &[Unknown],
+    seed: u64,
+    done: &dyn Fn(),
+) -> Option<Search> {
+    let baseline = fit(campaign, scene, start, unknowns, None)?;
+    let candidates = candidates(scene);
+    let trials = trials(&baseline.stage, &baseline.strata, scene, &candidates, seed);
+    let quest = Quest { campaign, unknowns, candidates: &candidates, trials: &trials };
+    let on_baseline = quest.scores(&baseline, scene);
+    done();
+    let last = quest.climb_by(scene, baseline.clone(), on_baseline.clone());
+    done();
+    let mut search = Search { baseline, last, named: Vec::new(), trials: trials.clone(), on_baseline };
+    search.judge(&quest, scene);
+    Some(search)
 }
 
 /// The candidates that a model does not have yet.
@@ -101,64 +109,79 @@ fn left<'a>(all: &'a [Candidate], effects: &'a [Instance]) -> Vec<Candidate> {
     all.iter().filter(|candidate| !has(candidate)).cloned().collect()
 }
 
-/// Searches for effects on top of a calibrated model.
-/// `done` is called twice as it goes on.
-pub fn search(
-    campaign: &Campaign,
-    scene: &mut Scene,
-    start: Point,
-    unknowns: &[Unknown],
-    seed: u64,
-    done: &dyn Fn(),
-) -> Option<Search> {
-    let baseline = fit(campaign, scene, start, unknowns, None)?;
-    let all = candidates(scene);
-    let trials = trials(&baseline.stage, &baseline.strata, scene, &all, seed);
-    let mut tests = scores(&baseline, scene, &all, &trials);
-    let mut seen = std::collections::BTreeSet::new();
-    tests.retain(|score| seen.insert(score.instance.effect.name()));
-    done();
-    let last = climb(campaign, scene, baseline.clone(), unknowns, &all, &trials);
-    done();
-    let mut search = Search { baseline, last, named: Vec::new(), trials, tests };
-    search.judge(campaign, scene, unknowns, &all);
-    Some(search)
-}
-
-/// Adds effects to a fit as long as the data ask for them.
-pub fn climb(
-    campaign: &Campaign,
-    scene: &mut Scene,
-    from: Fit,
-    unknowns: &[Unknown],
-    all: &[Candidate],
-    trials: &Trials,
-) -> Fit {
-    let mut last = from;
-    // Effects that take turns in driving each other out would be added and dropped for ever.
-    let mut seen: Vec<Vec<Instance>> = Vec::new();
-    while last.point.effects.len() < MOST_EFFECTS {
-        let limit = if last.point.effects.is_empty() { FALSE_NAME.ln() } else { FALSE_NEXT.ln() };
-        super::fit::update_growth(scene, campaign, &last.point);
-        let scores = scores(&last, scene, &left(all, &last.point.effects), trials);
-        let Some(best) = scores.first().filter(|best| trials.over_all(&best.instance, best.ln_p) < limit) else {
-            break;
-        };
-        let mut point = last.point.clone();
-        point.effects.push(best.instance.clone());
-        let Some(next) = fit(campaign, scene, point, unknowns, None) else { break };
-        last = prune(campaign, scene, next, unknowns, trials);
-        let same = |known: &Vec<Instance>| {
-            let now = &last.point.effects;
-            known.len() == now.len() && now.iter().all(|own| known.iter().any(|other| other.same_name(own)))
-        };
-        if seen.iter().any(same) {
-            break;
+impl Quest<'_> {
+    /// The scores on top of a fit of all candidates that its model does not have yet, best first; patterns with their handicap.
+    fn scores(&self, fit: &Fit, scene: &Scene) -> Vec<Score> {
+        let ground = Ground::new(&fit.stage, &fit.strata, scene, self.trials);
+        let mut best = ground.score(&left(self.candidates, &fit.point.effects));
+        let level = |score: &Score| score.ln_p + if is_pattern(score.instance.effect) { HANDICAP } else { 0.0 };
+        best.sort_by(|a, b| level(a).total_cmp(&level(b)));
+        for place in 0..best.len().min(LOOKED_AT) {
+            best[place] = ground.refine(&best[place]);
         }
-        seen.push(last.point.effects.clone());
+        best.sort_by(|a, b| level(a).total_cmp(&level(b)));
+        best
     }
-    super::fit::update_growth(scene, campaign, &last.point);
-    last
+
+    fn fit(&self, scene: &mut Scene, point: Point) -> Option<Fit> {
+        fit(self.campaign, scene, point, self.unknowns, None)
+    }
+
+    /// Adds effects to a fit as long as the data ask for them.
+    pub fn climb(&self, scene: &mut Scene, from: Fit) -> Fit {
+        update_growth(scene, self.campaign, &from.point);
+        let scores = self.scores(&from, scene);
+        self.climb_by(scene, from, scores)
+    }
+
+    /// The same where the scores on top of the fit are known.
+    fn climb_by(&self, scene: &mut Scene, from: Fit, mut scores: Vec<Score>) -> Fit {
+        let mut last = from;
+        // Effects that take turns in driving each other out would be added and dropped for ever.
+        let mut seen: Vec<Vec<Instance>> = Vec::new();
+        while last.point.effects.len() < MOST_EFFECTS {
+            let limit = if last.point.effects.is_empty() { FALSE_NAME.ln() } else { FALSE_NEXT.ln() };
+            let likely = |best: &&Score| self.trials.over_all(&best.instance, best.ln_p) < limit;
+            let Some(best) = scores.first().filter(likely) else { break };
+            let mut point = last.point.clone();
+            point.effects.push(best.instance.clone());
+            let Some(next) = self.fit(scene, point) else { break };
+            last = self.prune(scene, next);
+            let same = |known: &Vec<Instance>| {
+                let now = &last.point.effects;
+                known.len() == now.len() && now.iter().all(|own| known.iter().any(|other| other.same_name(own)))
+            };
+            if seen.iter().any(same) {
+                break;
+            }
+            seen.push(last.point.effects.clone());
+            update_growth(scene, self.campaign, &last.point);
+            scores = self.scores(&last, scene);
+        }
+        update_growth(scene, self.campaign, &last.point);
+        last
+    }
+
+    /// Drops effects that the others make needless.
+    fn prune(&self, scene: &mut Scene, mut fitted: Fit) -> Fit {
+        while fitted.point.effects.len() > 1 {
+            let effects = fitted.point.effects.iter().zip(&fitted.covariances).enumerate();
+            let chances = effects.filter_map(|(place, (effect, covariance))| {
+                let (ratio, freedom) = worth(effect, covariance)?;
+                let candidate = Candidate { effect: effect.effect, site: effect.site.clone() };
+                let own = ln_chi_square(ratio, freedom);
+                let ln_p = self.trials.over_shapes(&candidate, &effect.shape, own, ratio);
+                Some((place, self.trials.over_all(effect, ln_p)))
+            });
+            let weakest = chances.max_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((place, _)) = weakest.filter(|(_, ln_p)| *ln_p > FALSE_NAME.ln()) else { break };
+            let mut point = fitted.point.clone();
+            point.effects.remove(place);
+            let Some(next) = self.fit(scene, point) else { break };
+            fitted = next;
+        }
+        fitted
+    }
 }
 
 /// Twice the log likelihood that an effect's coefficients are worth in the presence of all others (Wald).
@@ -176,48 +199,31 @@ fn worth(effect: &Instance, covariance: &EffectCovariance) -> Option<(f64, usize
     Some((values.dot(&solved), count))
 }
 
-/// Drops effects that the others make needless.
-fn prune(campaign: &Campaign, scene: &mut Scene, mut fitted: Fit, unknowns: &[Unknown], trials: &Trials) -> Fit {
-    while fitted.point.effects.len() > 1 {
-        let effects = &fitted.point.effects;
-        let weakest = effects
-            .iter()
-            .zip(&fitted.covariances)
-            .enumerate()
-            .filter_map(|(place, (effect, covariance))| {
-                let (ratio, freedom) = worth(effect, covariance)?;
-                let candidate = Candidate { effect: effect.effect, site: effect.site.clone() };
-                let ln_p =
-                    trials.over_shapes(&candidate, &effect.shape, super::chance::ln_chi_square(ratio, freedom), ratio);
-                Some((place, trials.over_all(effect, ln_p)))
-            })
-            .max_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((place, _)) = weakest.filter(|(_, ln_p)| *ln_p > FALSE_NAME.ln()) else { break };
-        let mut point = fitted.point.clone();
-        point.effects.remove(place);
-        let Some(next) = fit(campaign, scene, point, unknowns, None) else { break };
-        fitted = next;
-    }
-    fitted
-}
-
 impl Search {
+    /// The best candidate of each effect on top of the baseline, the least likely to be noise first.
+    pub fn tests(&self) -> Vec<&Score> {
+        let mut seen = BTreeSet::new();
+        self.on_baseline.iter().filter(|score| seen.insert(score.instance.effect.name())).collect()
+    }
+
     /// How each effect stands among its rivals with all others kept; one that a rival beats there gives way to it.
-    fn judge(&mut self, campaign: &Campaign, scene: &mut Scene, unknowns: &[Unknown], all: &[Candidate]) {
+    fn judge(&mut self, quest: &Quest<'_>, scene: &mut Scene) {
         let mut exchanges = 0;
         'again: loop {
             self.named.clear();
             for place in 0..self.last.point.effects.len() {
                 let mut point = self.last.point.clone();
                 let own = point.effects.remove(place);
-                let others = point.effects.clone();
-                let without = match others.is_empty() {
+                let without = match point.effects.is_empty() {
                     true => Some(self.baseline.clone()),
-                    false => fit(campaign, scene, point, unknowns, None),
+                    false => quest.fit(scene, point),
                 };
                 let Some(without) = without else { continue };
-                super::fit::update_growth(scene, campaign, &without.point);
-                let scores = scores(&without, scene, &left(all, &others), &self.trials);
+                update_growth(scene, quest.campaign, &without.point);
+                let scores = match without.point.effects.is_empty() {
+                    true => self.on_baseline.clone(),
+                    false => quest.scores(&without, scene),
+                };
                 let Some(mine) = scores.iter().find(|score| score.instance.same_name(&own)).cloned() else {
                     // Without it nothing speaks for it any more: it was another's shadow.
                     if let Some(next) = (exchanges < MOST_EXCHANGES).then_some(without) {
@@ -235,22 +241,21 @@ impl Search {
                     // What the rival gains by having fewer numbers and shapes counts beside what it fits.
                     let simpler = (mine.ln_p - best.ln_p) - 0.5 * (best.ratio - mine.ratio);
                     let least = self.last.log_likelihood - simpler + LEAST_BETTER;
-                    if let Some(next) =
-                        fit(campaign, scene, point, unknowns, None).filter(|next| next.log_likelihood > least)
-                    {
+                    if let Some(next) = quest.fit(scene, point).filter(|next| next.log_likelihood > least) {
                         exchanges += 1;
-                        self.last = climb(campaign, scene, next, unknowns, all, &self.trials);
+                        self.last = quest.climb(scene, next);
                         continue 'again;
                     }
                 }
                 let rivals = scores.into_iter().filter(|score| !score.instance.same_name(&own)).take(KEPT).collect();
                 let ln_p = self.trials.over_all(&own, mine.ln_p);
-                let between =
-                    (!own.effect.is_smooth()).then(|| step_between(&without, scene, &own, &self.trials)).flatten();
+                let between = (!own.effect.is_smooth())
+                    .then(|| Ground::new(&without.stage, &without.strata, scene, &self.trials).step_between(&own))
+                    .flatten();
                 self.named.push(Named { score: mine, ln_p, rivals, between });
             }
             break;
         }
-        super::fit::update_growth(scene, campaign, &self.last.point);
+        update_growth(scene, quest.campaign, &self.last.point);
     }
 }

@@ -2,6 +2,7 @@
 
 use super::candidate::{Candidate, Context, Estimate, Undo};
 use super::explained::{Fit, Response};
+use crate::discover::golden::golden;
 
 /// Time constants that are tried, s.
 const TAUS_S: [f64; 13] = [12.0, 18.0, 26.0, 37.0, 52.0, 73.0, 102.0, 143.0, 200.0, 280.0, 390.0, 550.0, 770.0];
@@ -78,21 +79,5 @@ pub(super) fn find(context: &Context<'_>, sensor: usize, response: &Response) ->
 
 /// The best time constant near one of the grid, by golden section on its logarithm.
 fn sharpened(ratio: &impl Fn(f64) -> f64, tau_s: f64) -> f64 {
-    const GOLDEN: f64 = 0.618_033_988_749_895;
-    let (mut low, mut high) = ((tau_s / 1.45).ln(), (tau_s * 1.45).ln());
-    let at = |log: f64| ratio(log.exp());
-    let (mut a, mut b) = (high - GOLDEN * (high - low), low + GOLDEN * (high - low));
-    let (mut at_a, mut at_b) = (at(a), at(b));
-    for _ in 0..18 {
-        if at_a > at_b {
-            (high, b, at_b) = (b, a, at_a);
-            a = high - GOLDEN * (high - low);
-            at_a = at(a);
-        } else {
-            (low, a, at_a) = (a, b, at_b);
-            b = low + GOLDEN * (high - low);
-            at_b = at(b);
-        }
-    }
-    (0.5 * (low + high)).exp()
+    golden((tau_s / 1.45).ln(), (tau_s * 1.45).ln(), 18, |log| ratio(log.exp())).0.exp()
 }
