@@ -8,8 +8,9 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
 use super::chance::{ln_chi_square, ln_likelihood_ratio, ln_smallest_of};
-use super::normal::{Factor, Normal, Strata};
-use super::postures::{AtPostures, Draws, Products};
+use super::factor::{Draws, Factor, Projected};
+use super::normal::{Normal, Strata};
+use super::postures::AtPostures;
 use super::stage::{Column, Stage};
 use crate::effect::pattern::Pattern;
 use crate::effect::{Effect, Instance, Scene, Site, catalogue};
@@ -206,8 +207,13 @@ impl<'a> Ground<'a> {
         let at_postures = AtPostures::new(&self.normal, &self.rivals.factors, None);
         let of_candidate = |candidate: &Candidate| {
             let shapes = worth_a_look(&at_postures, self.stage(), self.scene, candidate);
-            let tried = shapes.into_iter().filter_map(|(shape, columns)| {
-                self.try_columns(&at_postures.products(&columns), &columns, candidate, &shape)
+            let tried = shapes.chunks(SIDE_BY_SIDE).flat_map(|shapes| {
+                let hypotheses: Vec<&[Column]> = shapes.iter().map(|(_, columns)| columns.as_slice()).collect();
+                let projected = at_postures.projected(&hypotheses).into_iter().zip(shapes);
+                let tried = projected.filter_map(|(projected, (shape, columns))| {
+                    self.try_projected(&projected, columns, candidate, shape)
+                });
+                tried.collect::<Vec<_>>()
             });
             tried.map(|tried| score_of(candidate, tried, self.trials)).min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))
         };
@@ -218,12 +224,14 @@ impl<'a> Ground<'a> {
 
     fn try_shape(&self, candidate: &Candidate, shape: &[f64]) -> Option<Tried> {
         let columns = columns(self.stage(), self.scene, candidate, shape);
-        self.try_columns(&Products::Columns(self.normal.cross(&columns)), &columns, candidate, shape)
+        let cross = self.normal.cross(&columns);
+        let projected: Vec<Projected> = self.rivals.factors.iter().map(|factor| factor.project(&cross)).collect();
+        self.try_projected(&projected, &columns, candidate, shape)
     }
 
-    fn try_columns(
+    fn try_projected(
         &self,
-        products: &Products<'_>,
+        projected: &[Projected],
         columns: &[Column],
         candidate: &Candidate,
         shape: &[f64],
@@ -231,8 +239,7 @@ impl<'a> Ground<'a> {
         let mut best: Option<(f64, &Factor, usize, Vec<f64>, f64)> = None;
         // The chance in noise that postures and cycles do not share.
         let mut instead = 0.0_f64;
-        for (rank, factor) in self.rivals.factors.iter().enumerate() {
-            let projected = products.project(rank, factor);
+        for (factor, projected) in self.rivals.factors.iter().zip(projected) {
             let (drop, freedom, coefficients) = projected.drop();
             let gain = factor.log_likelihood + 0.5 * drop - self.rivals.nothing;
             if freedom > 0 && factor.is_unshared() && gain > INSTEAD + self.trials.tests(candidate, shape, drop).ln() {
@@ -341,6 +348,9 @@ impl Gap {
     }
 }
 
+/// Hypotheses that are projected together: enough for one product to be worth it, few enough for the cache.
+const SIDE_BY_SIDE: usize = 32;
+
 /// Of long scans the shapes that explain most by a rough measure, with their columns; all shapes of short ones.
 fn worth_a_look(
     at_postures: &AtPostures<'_>,
@@ -404,20 +414,19 @@ pub fn trials(stage: &Stage, strata: &Strata, scene: &Scene, candidates: &[Candi
     shared.rows_mut(layout.nuisance + of_postures, of_cycles).copy_from(&own);
     let turned = factor.turn_draws(&normal, &shared);
     let factors = [factor];
-    let [factor] = &factors;
-    let draws_of = || Draws { turned: &turned, shared: &shared };
-    let at_postures = AtPostures::new(&normal, &factors, Some(draws_of()));
+    let at_postures = AtPostures::new(&normal, &factors, Some(Draws { turned: &turned, shared: &shared }));
     // For each family of a candidate's shapes and each draw: the smallest chance, and the drop that it belongs to.
     let of_candidate = |candidate: &Candidate| {
         let mut largest: BTreeMap<(u8, usize), Vec<f64>> = BTreeMap::new();
-        for shape in candidate.effect.shapes(scene, &candidate.site) {
-            let columns = columns(stage, scene, candidate, &shape);
-            let products = at_postures.products(&columns);
-            let directions = products.project(0, factor).directions();
-            let drops = directions.drops(&products.project_draws(factor, &draws_of()));
-            let key = (candidate.effect.family(&shape), directions.count());
-            let largest = largest.entry(key).or_insert_with(|| vec![0.0; draws]);
-            largest.iter_mut().zip(drops).for_each(|(largest, drop)| *largest = largest.max(drop));
+        for shapes in candidate.effect.shapes(scene, &candidate.site).chunks(SIDE_BY_SIDE) {
+            let columns: Vec<_> = shapes.iter().map(|shape| columns(stage, scene, candidate, shape)).collect();
+            let hypotheses: Vec<&[Column]> = columns.iter().map(Vec::as_slice).collect();
+            for (shape, (projected, drawn)) in shapes.iter().zip(at_postures.drawn(&hypotheses)) {
+                let directions = projected.directions();
+                let key = (candidate.effect.family(shape), directions.count());
+                let largest = largest.entry(key).or_insert_with(|| vec![0.0; draws]);
+                largest.iter_mut().zip(directions.drops(&drawn)).for_each(|(most, drop)| *most = most.max(drop));
+            }
         }
         let mut families: BTreeMap<u8, Vec<(f64, f64)>> = BTreeMap::new();
         for ((family, freedom), drops) in largest {

@@ -6,6 +6,7 @@ mod chance;
 mod discovery;
 mod estimate;
 mod extension;
+mod factor;
 pub mod fit;
 pub mod gain;
 mod golden;

@@ -6,6 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::factor::Factor;
 use super::stage::{Column, Stage};
 
 /// Standard deviations of the strata.
@@ -39,7 +40,7 @@ pub struct Whitened<'a> {
 }
 
 /// The rows `[nuisance | joints | residual]` of every visit of a stage, before whitening: the same whatever the noise.
-pub struct Rows(Vec<DMatrix<f64>>);
+pub struct Rows(pub(super) Vec<DMatrix<f64>>);
 
 impl Rows {
     /// The rows of a stage.
@@ -63,7 +64,7 @@ impl Rows {
 impl super::stage::Block {
     /// The lower factor of the covariance of a visit's rows under the noise of points and visits, and the logarithm of its
     /// determinant.
-    fn noise_factor(&self, strata: &Strata) -> (DMatrix<f64>, f64) {
+    pub(super) fn noise_factor(&self, strata: &Strata) -> (DMatrix<f64>, f64) {
         let mut spread = self.places.columns(0, strata.visit.len()).into_owned();
         for (mut column, sigma) in spread.column_iter_mut().zip(&strata.visit) {
             column.scale_mut(*sigma);
@@ -152,7 +153,7 @@ impl Layout {
     }
 
     /// Where the errors that a visit shares begin.
-    fn shared(&self, block: &super::stage::Block) -> impl Iterator<Item = usize> + Clone {
+    pub(super) fn shared(&self, block: &super::stage::Block) -> impl Iterator<Item = usize> + Clone {
         [self.posture(block.posture), self.cycle(block.cycle)].into_iter().flatten()
     }
 
@@ -440,152 +441,5 @@ impl<'a> Normal<'a> {
         }
         cross.own.fill_upper_triangle_with_lower_triangle();
         cross
-    }
-}
-
-/// The inverse factor of the normal equations under given sizes of the shared errors.
-pub struct Factor {
-    chosen: Vec<usize>,
-    /// `L⁻¹` of `L Lᵀ`, unscaled.
-    inverse: DMatrix<f64>,
-    right: DVector<f64>,
-    /// Restricted log likelihood, but for a constant.
-    pub log_likelihood: f64,
-    /// Size of the postures' errors.
-    pub posture: f64,
-    /// Size of the cycles' errors.
-    pub cycle: f64,
-}
-
-/// An hypothesis after nuisance and shared errors are projected out.
-pub struct Projected {
-    /// What is left of its columns' products.
-    pub own: DMatrix<f64>,
-    /// What is left of its products with the residual.
-    pub response: DVector<f64>,
-    /// The columns' norms before.
-    pub before: Vec<f64>,
-}
-
-impl Factor {
-    /// Whether neither postures nor cycles share errors.
-    pub fn is_unshared(&self) -> bool {
-        self.posture == 0.0 && self.cycle == 0.0
-    }
-
-    fn chosen_rows(&self, with: &DMatrix<f64>) -> DMatrix<f64> {
-        if self.chosen.len() == with.nrows() { with.clone() } else { with.select_rows(&self.chosen) }
-    }
-
-    /// Projects an hypothesis.
-    pub fn project(&self, cross: &Cross) -> Projected {
-        let turned = &self.inverse * self.chosen_rows(&cross.with);
-        Projected {
-            own: &cross.own - turned.transpose() * &turned,
-            response: &cross.response - turned.tr_mul(&self.right),
-            before: cross.own.diagonal().iter().map(|value| value.sqrt()).collect(),
-        }
-    }
-
-    /// The projected products of an hypothesis with draws of noise whose shared errors are `shared` (rows of the layout by
-    /// draws, zero for the nuisance): columns by draws.
-    pub fn project_draws(&self, cross: &Cross, drawn: &DMatrix<f64>, shared: &DMatrix<f64>) -> DMatrix<f64> {
-        let turned = &self.inverse * self.chosen_rows(&cross.with);
-        &cross.drawn + cross.with.transpose() * shared - turned.transpose() * drawn
-    }
-
-    /// `L⁻¹` times the draws' products: what [`Factor::project_draws`] needs, once for all hypotheses.
-    pub fn turn_draws(&self, normal: &Normal<'_>, shared: &DMatrix<f64>) -> DMatrix<f64> {
-        let all = &normal.drawn_right + &normal.system.matrix * shared;
-        &self.inverse * self.chosen_rows(&all)
-    }
-
-    /// For each joint, over all visits: the sum of squares of what the residual says of its errors, and what noise of the
-    /// present size would make of it (the score of a restricted likelihood, in two parts).
-    pub fn joint_scores(&self, stage: &Stage, rows: &Rows, layout: &Layout, strata: &Strata) -> Vec<(f64, f64)> {
-        let (own, joints) = (layout.nuisance, layout.joints);
-        let covariance = self.inverse.transpose() * &self.inverse;
-        let solution = self.inverse.transpose() * &self.right;
-        let place_of = |column: usize| self.chosen.binary_search(&column).ok();
-        let mut scores = vec![(0.0, 0.0); joints];
-        for (block, raw) in stage.blocks.iter().zip(&rows.0) {
-            let mut left = raw.clone();
-            block.noise_factor(strata).0.solve_lower_triangular_mut(&mut left);
-            let k = left.columns(own, joints);
-            let mut columns: Vec<usize> = (0..own).collect();
-            let mut parts = left.columns(0, own).into_owned();
-            for place in layout.shared(block) {
-                if let Some(place) = place_of(place) {
-                    columns.extend(place..place + joints);
-                    let width = parts.ncols();
-                    parts = parts.resize_horizontally(width + joints, 0.0);
-                    parts.columns_mut(width, joints).copy_from(&k);
-                }
-            }
-            let own_covariance = covariance.select_rows(&columns).select_columns(&columns);
-            let transposed = parts.transpose();
-            let cross = &transposed * k;
-            let left_over = left.column(own + joints) - &parts * solution.select_rows(&columns);
-            let response = k.transpose() * left_over;
-            let taken = &own_covariance * &cross;
-            for joint in 0..joints {
-                let expected = k.column(joint).norm_squared() - cross.column(joint).dot(&taken.column(joint));
-                scores[joint].0 += response[joint].powi(2);
-                scores[joint].1 += expected;
-            }
-        }
-        scores
-    }
-
-    /// The solution for nuisance and shared errors, and the covariance of the first `count` of them.
-    pub fn solution(&self, count: usize) -> (DVector<f64>, DMatrix<f64>) {
-        let solution = self.inverse.tr_mul(&self.right);
-        let first = self.inverse.columns(0, count);
-        (solution.rows(0, count).into_owned(), first.transpose() * first)
-    }
-}
-
-/// Of the square of a column that nuisance takes away all but this, the rest is rounding and linearisation.
-const FAINT: f64 = 1e-6;
-
-/// An hypothesis' directions that nuisance leaves, each of unit length: what turns responses into independent numbers.
-pub struct Directions {
-    /// Columns by directions.
-    basis: DMatrix<f64>,
-}
-
-impl Projected {
-    /// The directions that bear a test: those of which less than a part in `1 / FAINT` is left are given up.
-    pub fn directions(&self) -> Directions {
-        let scale: Vec<f64> = self.before.iter().map(|norm| if *norm > 0.0 { 1.0 / norm } else { 0.0 }).collect();
-        let count = scale.len();
-        let scaled = DMatrix::from_fn(count, count, |i, j| self.own[(i, j)] * scale[i] * scale[j]);
-        let eigen = scaled.symmetric_eigen();
-        let bearing: Vec<usize> = (0..count).filter(|&place| eigen.eigenvalues[place] > FAINT).collect();
-        let basis = DMatrix::from_fn(count, bearing.len(), |i, j| {
-            let place = bearing[j];
-            scale[i] * eigen.eigenvectors[(i, place)] / eigen.eigenvalues[place].sqrt()
-        });
-        Directions { basis }
-    }
-
-    /// The drop of the sum of squares, how many directions bear it, and the coefficients.
-    pub fn drop(&self) -> (f64, usize, DVector<f64>) {
-        let directions = self.directions();
-        let along = directions.basis.tr_mul(&self.response);
-        (along.norm_squared(), directions.count(), &directions.basis * along)
-    }
-}
-
-impl Directions {
-    /// How many there are.
-    pub fn count(&self) -> usize {
-        self.basis.ncols()
-    }
-
-    /// The drops of the sum of squares for many responses, one a column.
-    pub fn drops(&self, responses: &DMatrix<f64>) -> Vec<f64> {
-        let along = self.basis.transpose() * responses;
-        along.column_iter().map(|column| column.norm_squared()).collect()
     }
 }

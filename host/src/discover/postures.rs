@@ -8,7 +8,8 @@ use std::sync::OnceLock;
 
 use nalgebra::DMatrix;
 
-use super::normal::{Cross, Factor, Normal, Projected};
+use super::factor::{Batch, Draws, Factor, Projected};
+use super::normal::Normal;
 use super::stage::Column;
 
 /// Beyond so many postures the short way is none.
@@ -20,14 +21,6 @@ const FEW_POSTURES: usize = 60;
 /// Amounts that differ within a posture by less than this share of the largest count as the same: joints never come back to
 /// the last digit, and what is found this way is refined the long way.
 const SAME: f64 = 0.02;
-
-/// Draws of noise as [`Factor::project_draws`] takes them.
-pub struct Draws<'a> {
-    /// [`Factor::turn_draws`].
-    pub turned: &'a DMatrix<f64>,
-    /// Shared errors.
-    pub shared: &'a DMatrix<f64>,
-}
 
 /// One place's columns, posture by posture, projected by every factor.
 struct AtPlace {
@@ -45,14 +38,6 @@ pub struct AtPostures<'a> {
     places: Vec<OnceLock<AtPlace>>,
 }
 
-/// An hypothesis with its products, by the long way or the short one.
-pub enum Products<'a> {
-    /// Any columns.
-    Columns(Cross),
-    /// Amounts at postures, postures by columns.
-    Amounts(&'a AtPostures<'a>, usize, DMatrix<f64>),
-}
-
 impl<'a> AtPostures<'a> {
     /// The short way under some factors, with draws of noise for the first of them.
     pub fn new(normal: &'a Normal<'a>, factors: &'a [Factor], draws: Option<Draws<'a>>) -> Self {
@@ -66,16 +51,15 @@ impl<'a> AtPostures<'a> {
             AtPlace {
                 before: cross.own.diagonal().iter().copied().collect(),
                 projected: self.factors.iter().map(|factor| factor.project(&cross)).collect(),
-                drawn: self
-                    .draws
-                    .as_ref()
-                    .map(|draws| self.factors[0].project_draws(&cross, draws.turned, draws.shared)),
+                drawn: self.draws.as_ref().and_then(|draws| {
+                    self.factors[0].project_draws(&Batch::new(vec![cross]), draws).into_iter().next()
+                }),
             }
         })
     }
 
     /// The amounts of columns at every posture, where they are all at one place and depend on nothing else.
-    fn amounts(&self, columns: &[Column]) -> Option<(usize, DMatrix<f64>)> {
+    fn amounts(&self, columns: &[Column]) -> Option<Amounts> {
         let stage = self.normal.white.stage;
         if stage.postures > MOST_POSTURES {
             return None;
@@ -97,7 +81,7 @@ impl<'a> AtPostures<'a> {
                 }
             }
         }
-        Some((*place, amounts))
+        Some(Amounts { place: *place, amounts })
     }
 
     /// About how much an hypothesis explains, as if its columns had nothing in common and calibration took from each posture's
@@ -107,7 +91,7 @@ impl<'a> AtPostures<'a> {
         if self.normal.white.stage.postures <= FEW_POSTURES {
             return None;
         }
-        let (place, amounts) = self.amounts(columns)?;
+        let Amounts { place, amounts } = self.amounts(columns)?;
         let all = self.at(place).projected.first()?;
         let of_column = |rank: usize| {
             let column = amounts.column(rank);
@@ -118,43 +102,63 @@ impl<'a> AtPostures<'a> {
         Some((0..amounts.ncols()).map(of_column).sum())
     }
 
-    /// The products of an hypothesis, the short way where it is open.
-    pub fn products(&'a self, columns: &[Column]) -> Products<'a> {
-        match self.amounts(columns) {
-            Some((place, amounts)) => Products::Amounts(self, place, amounts),
-            None => Products::Columns(self.normal.cross(columns)),
+    /// For every hypothesis its projections by the factors, in their order.
+    pub fn projected(&self, hypotheses: &[&[Column]]) -> Vec<Vec<Projected>> {
+        let Split { short, long } = self.split(hypotheses);
+        let mut all: Vec<Vec<Projected>> = hypotheses.iter().map(|_| Vec::with_capacity(self.factors.len())).collect();
+        for (rank, factor) in self.factors.iter().enumerate() {
+            let mut long = factor.project_all(&long).into_iter();
+            for (own, short) in all.iter_mut().zip(&short) {
+                own.extend(short.as_ref().map(|short| self.of_amounts(short, rank)).or_else(|| long.next()));
+            }
+        }
+        all
+    }
+
+    /// For every hypothesis its projection by the first factor, and its projected products with the draws: columns by draws.
+    pub fn drawn(&self, hypotheses: &[&[Column]]) -> Vec<(Projected, DMatrix<f64>)> {
+        let (Some(factor), Some(draws)) = (self.factors.first(), &self.draws) else { return Vec::new() };
+        let Split { short, long } = self.split(hypotheses);
+        let mut long = factor.project_all(&long).into_iter().zip(factor.project_draws(&long, draws));
+        let of_short = |short: &Amounts| {
+            let drawn = self.at(short.place).drawn.as_ref()?;
+            Some((self.of_amounts(short, 0), short.amounts.transpose() * drawn))
+        };
+        short.iter().filter_map(|short| short.as_ref().map_or_else(|| long.next(), of_short)).collect()
+    }
+
+    fn split(&self, hypotheses: &[&[Column]]) -> Split {
+        let short: Vec<Option<Amounts>> = hypotheses.iter().map(|columns| self.amounts(columns)).collect();
+        let long = hypotheses.iter().zip(&short).filter(|(_, short)| short.is_none());
+        let long = Batch::new(long.map(|(columns, _)| self.normal.cross(columns)).collect());
+        Split { short, long }
+    }
+
+    /// What is left of amounts at postures, by the factor of a rank.
+    fn of_amounts(&self, Amounts { place, amounts }: &Amounts, rank: usize) -> Projected {
+        let place = self.at(*place);
+        let all = &place.projected[rank];
+        let square = |column: usize| -> f64 {
+            amounts.column(column).iter().zip(&place.before).map(|(amount, own)| amount * amount * own).sum()
+        };
+        Projected {
+            own: amounts.transpose() * (&all.own * amounts),
+            response: amounts.tr_mul(&all.response),
+            before: (0..amounts.ncols()).map(|column| square(column).sqrt()).collect(),
         }
     }
 }
 
-impl Products<'_> {
-    /// The hypothesis projected by a factor, which is that of the given rank where the short way was prepared.
-    pub fn project(&self, rank: usize, factor: &Factor) -> Projected {
-        match self {
-            Products::Columns(cross) => factor.project(cross),
-            Products::Amounts(at, place, amounts) => {
-                let place = at.at(*place);
-                let all = &place.projected[rank];
-                let square = |column: usize| -> f64 {
-                    amounts.column(column).iter().zip(&place.before).map(|(amount, own)| amount * amount * own).sum()
-                };
-                Projected {
-                    own: amounts.transpose() * (&all.own * amounts),
-                    response: amounts.tr_mul(&all.response),
-                    before: (0..amounts.ncols()).map(|column| square(column).sqrt()).collect(),
-                }
-            }
-        }
-    }
+/// Amounts of one place at every posture, postures by columns.
+struct Amounts {
+    place: usize,
+    amounts: DMatrix<f64>,
+}
 
-    /// The projected products with draws of noise: columns by draws.
-    pub fn project_draws(&self, factor: &Factor, draws: &Draws<'_>) -> DMatrix<f64> {
-        match self {
-            Products::Columns(cross) => factor.project_draws(cross, draws.turned, draws.shared),
-            Products::Amounts(at, place, amounts) => match &at.at(*place).drawn {
-                Some(drawn) => amounts.transpose() * drawn,
-                None => DMatrix::zeros(amounts.ncols(), 0),
-            },
-        }
-    }
+/// Hypotheses by the way they go.
+struct Split {
+    /// The short way; none where it is not open.
+    short: Vec<Option<Amounts>>,
+    /// The others, in their order.
+    long: Batch,
 }
