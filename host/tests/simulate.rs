@@ -403,3 +403,68 @@ fn the_command_makes_a_run_and_refuses_to_overwrite_one() {
     assert!(code == Some(2) && errors.contains("none.toml: cannot be read"), "{errors}");
     assert!(!folder.path().join("other").exists());
 }
+
+/// A shipped scenario with more text at its end.
+fn with(more: &str) -> Result<Scenario, thermokin::input::InputError> {
+    let (name, text) = SHIPPED_SCENARIOS.iter().find(|(name, _)| *name == "small").expect("it ships");
+    Scenario::parse(Path::new(name), &format!("{text}\n{more}"))
+}
+
+#[test]
+fn an_effect_on_a_joint_moves_it_and_nothing_else() {
+    let (amplitude, phase, harmonic) = (2e-4, 0.7, 3.0);
+    let hidden = with(&format!(
+        "[[effect]]\neffect = \"gear_eccentricity\"\nwhere = {{ joint = 2 }}\n\
+         parameters = {{ amplitude_rad = {amplitude}, phase_rad = {phase}, harmonic = {harmonic} }}"
+    ));
+    let (plain, hidden) = (simulated(&shipped("small")), simulated(&hidden.expect("it is right")));
+    assert_eq!(hidden.truth.effects.len(), 1);
+    assert_eq!(plain.run.temperatures, hidden.run.temperatures);
+    for ((before, after), visit) in plain.truth.visits.iter().zip(&hidden.truth.visits).zip(&hidden.run.visits) {
+        for (joint, (q, moved)) in before.joints.iter().zip(&after.joints).enumerate() {
+            let expected = if joint == 1 { amplitude * (harmonic * visit.joints[1] + phase).cos() } else { 0.0 };
+            assert!((moved - q - expected).abs() < 1e-15, "joint {}: {moved} - {q}, expected {expected}", joint + 1);
+        }
+    }
+    assert_ne!(plain.run.visits[0].points, hidden.run.visits[0].points);
+}
+
+#[test]
+fn an_effect_on_a_sensor_spoils_its_log_and_leaves_the_arm_alone() {
+    let robot = shipped("small").robot;
+    let sensor = &robot.sensors[0].name;
+    let hidden = with(&format!(
+        "[[effect]]\neffect = \"sensor_bias\"\nwhere = {{ sensor = \"{sensor}\" }}\n\
+         parameters = {{ time_s = 900.0, step_k = 1.5 }}"
+    ));
+    let (plain, hidden) = (simulated(&shipped("small")), simulated(&hidden.expect("it is right")));
+    assert_eq!(plain.run.visits, hidden.run.visits);
+    let (before, after) = (plain.run.temperatures.expect("a log"), hidden.run.temperatures.expect("a log"));
+    let mut stepped = 0;
+    for ((name, before), after) in before.sensors.iter().zip(&before.series).zip(&after.series) {
+        for ((time, cold), warm) in before.times_s().iter().zip(before.celsius()).zip(after.celsius()) {
+            let expected = if name == sensor && *time >= 900.0 { 1.5 } else { 0.0 };
+            assert!((warm - cold - expected).abs() < 1e-9, "{name} at {time} s");
+            stepped += usize::from(expected > 0.0);
+        }
+    }
+    assert!(stepped > 10, "{stepped} readings after the step");
+}
+
+#[test]
+fn effects_that_cannot_be_are_refused_with_their_line() {
+    let (_, text) = SHIPPED_SCENARIOS.iter().find(|(name, _)| *name == "small").expect("it ships");
+    // The text ends with a line break, and one more is put before what is added.
+    let line = text.lines().count() + 2;
+    for (more, said) in [
+        ("effect = \"gear_excentricity\"", "no effect"),
+        ("effect = \"backlash\"\nwhere = { joint = 9 }\nparameters = { width_rad = 1e-4 }", "that is not there"),
+        ("effect = \"backlash\"\nwhere = { joint = 1 }", "expected the parameter width_rad"),
+        ("effect = \"backlash\"\nwhere = { joint = 1 }\nparameters = { width_rad = 0.0 }", "does nothing"),
+        ("effect = \"thermal_lag\"\nwhere = { parameter = \"d1\" }\nparameters = { tau_s = 300.0 }", "does nothing"),
+    ] {
+        let error = with(&format!("[[effect]]\n{more}")).expect_err(more);
+        assert_eq!(error.line, Some(line), "{error}");
+        assert!(error.message.contains(said), "{error}");
+    }
+}

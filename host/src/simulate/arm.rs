@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use super::SimulationError;
 use super::random::{Purpose, Stream};
 use super::scenario::{Node, Scenario};
+use crate::effect::Adjustment;
 use crate::robot::{Chain, Frame, Posture, Twist};
 
 /// The place of a link's node in the heat network: cores and housings in turn, the base's first.
@@ -128,9 +129,11 @@ impl TrueArm {
             .collect()
     }
 
-    /// The flange in the world frame at true joint positions and temperatures of the nodes.
-    pub(super) fn flange(&self, joints: &[f64], nodes_c: &[f64]) -> Frame {
-        let values: Vec<f64> = self.cold.iter().zip(self.growth(nodes_c)).map(|(cold, growth)| cold + growth).collect();
+    /// The flange in the world frame at true joint positions and temperatures of the nodes, with what effects do to the
+    /// parameters.
+    pub(super) fn flange(&self, joints: &[f64], nodes_c: &[f64], adjustment: &Adjustment) -> Frame {
+        let grown = self.cold.iter().zip(self.growth(nodes_c)).map(|(cold, growth)| cold + growth);
+        let values: Vec<f64> = grown.zip(&adjustment.parameters).map(|(value, more)| value + more).collect();
         self.chain.prepare(&values).flange(&Posture::new(joints))
     }
 

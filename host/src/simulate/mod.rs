@@ -11,11 +11,13 @@
 //! | `timetable`, `posture` | what is when, and where |
 //! | `heat`, `warmth` | the network of heat, and the arm's temperatures over time |
 //! | `arm` | the true geometry, its growth, and the joints' errors |
+//! | `hidden` | effects of the catalogue that a scenario hides |
 //! | `sensors`, `tracker` | what is read of temperatures and positions |
 //! | `truth` | what only the simulator knows |
 
 mod arm;
 mod heat;
+mod hidden;
 mod posture;
 mod random;
 mod reading;
@@ -33,6 +35,7 @@ use nalgebra::Vector3;
 use crate::robot::{ParameterId, Posture, Robot};
 use crate::run::{BrokenBeam, Instrument, Point, Run, RunDescription, RunFiles, Visit, WriteError};
 
+pub use hidden::HiddenEffect;
 pub use reading::SHIPPED_SCENARIOS;
 pub use scenario::{
     Ambient, Arm, DrawnPostures, DrivePhase, Growth, GrowthTerm, Heat, JointHeat, LinkHeat, Node, Noise, ParameterName,
@@ -40,7 +43,9 @@ pub use scenario::{
 };
 pub use truth::{TrueCycle, TrueParameter, TrueSensor, TrueTarget, TrueVisit, Truth};
 
+use crate::effect::Adjustment;
 use arm::{TrueArm, node_place};
+use hidden::Doing;
 use random::{Purpose, Stream};
 use tracker::Measuring;
 use warmth::Warmth;
@@ -70,6 +75,14 @@ pub enum SimulationError {
     /// A growth of a parameter that the chain does not have: a scenario that was not read from a file.
     #[error("the chain has no parameter {0}")]
     NoParameter(ParameterId),
+    /// An effect that does not exist, or cannot be where or as large as the scenario says.
+    #[error("effect {}: {message}", number + 1)]
+    Effect {
+        /// Its place among the scenario's effects.
+        number: usize,
+        /// What is wrong.
+        message: String,
+    },
 }
 
 /// A simulated run and the truth behind it.
@@ -119,19 +132,15 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulated, SimulationError> {
     let temperatures = sensors::readings(scenario, &spots, &warmth);
 
     let home = posture::home(&postures);
-    let mut measuring = Measuring::new(&scenario.instrument, scenario.seed);
     let mut repeatability = Stream::new(scenario.seed, Purpose::Repeatability);
-    let mut visits: Vec<Visit> = Vec::new();
-    let mut true_visits: Vec<TrueVisit> = Vec::new();
-    for planned in &timetable.visits {
+    let mut true_joints: Vec<Vec<f64>> = Vec::new();
+    let visit = |planned: &timetable::PlannedVisit| {
         let posture = &postures[planned.pose];
         let before = planned.pose.checked_sub(1).map_or(&home, |previous| &postures[previous]);
-        let joints: Vec<f64> =
-            arm.joints(posture).iter().map(|q| q + arm.joint_sigma * repeatability.normal()).collect();
-        let (cycle, pose) = (planned.cycle, planned.pose as u32);
-        let mut visit = Visit {
-            cycle,
-            pose,
+        true_joints.push(arm.joints(posture).iter().map(|q| q + arm.joint_sigma * repeatability.normal()).collect());
+        Visit {
+            cycle: planned.cycle,
+            pose: planned.pose as u32,
             time_s: planned.time_s,
             joints: posture.clone(),
             commanded: None,
@@ -140,22 +149,11 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulated, SimulationError> {
             points: Vec::new(),
             distances: Vec::new(),
             broken_beams: Vec::new(),
-        };
-        for (target, (&time_s, place)) in planned.points_s.iter().zip(&arm.targets).enumerate() {
-            let flange = arm.flange(&joints, &warmth.nodes.at(time_s));
-            match measuring.measure(&flange.point(place)) {
-                Some(position) => visit.points.push(Point { time_s, target, position, orientation: None }),
-                None => visit.broken_beams.push(BrokenBeam { time_s, target, anchor: None }),
-            }
         }
-        visits.push(visit);
-        let nodes_c = warmth.nodes.at(planned.time_s);
-        let growth = arm.growth(&nodes_c);
-        true_visits.push(TrueVisit { cycle, pose, time_s: planned.time_s, joints, nodes_c, growth });
-    }
-
+    };
+    let visits = timetable.visits.iter().map(visit).collect();
     let (sigma_m, sigma_per_m) = scenario.instrument.stated_sigma();
-    let run = Run {
+    let mut run = Run {
         folder: Path::new("").to_owned(),
         description: RunDescription {
             name: scenario.name.clone(),
@@ -177,7 +175,29 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulated, SimulationError> {
         motion: timetable.steps,
         notes: Vec::new(),
     };
-    let cycles = cycles(scenario, &arm, &postures, &warmth, &run);
+    let Doing { adjustments, log } = hidden::doing(scenario, &arm, &run)?;
+    run.temperatures = log;
+
+    let station = Vector3::from(scenario.instrument.position);
+    let mut measuring = Measuring::new(&scenario.instrument, scenario.seed);
+    let mut true_visits: Vec<TrueVisit> = Vec::new();
+    let standing = timetable.visits.iter().zip(&mut run.visits).zip(true_joints).zip(&adjustments);
+    for (((planned, visit), mut joints), adjustment) in standing {
+        joints.iter_mut().zip(&adjustment.joints).for_each(|(joint, more)| *joint += more);
+        for (target, (&time_s, place)) in planned.points_s.iter().zip(&arm.targets).enumerate() {
+            let flange = arm.flange(&joints, &warmth.nodes.at(time_s), adjustment);
+            let seen = adjustment.seen(&flange.point(&(place + adjustment.targets[target])), &station);
+            match measuring.measure(&seen) {
+                Some(position) => visit.points.push(Point { time_s, target, position, orientation: None }),
+                None => visit.broken_beams.push(BrokenBeam { time_s, target, anchor: None }),
+            }
+        }
+        let nodes_c = warmth.nodes.at(planned.time_s);
+        let growth = arm.growth(&nodes_c);
+        let Visit { cycle, pose, time_s, .. } = *visit;
+        true_visits.push(TrueVisit { cycle, pose, time_s, joints, nodes_c, growth });
+    }
+    let cycles = cycles(scenario, &arm, &postures, &warmth, &run, &adjustments);
     let truth = Truth {
         scenario: scenario.name.clone(),
         seed: scenario.seed,
@@ -198,12 +218,20 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulated, SimulationError> {
             .collect(),
         visits: true_visits,
         cycles,
+        effects: scenario.effects.clone(),
     };
     Ok(Simulated { run, robot: scenario.robot.clone(), truth })
 }
 
 /// Each cycle in a few numbers.
-fn cycles(scenario: &Scenario, arm: &TrueArm, postures: &[Vec<f64>], warmth: &Warmth, run: &Run) -> Vec<TrueCycle> {
+fn cycles(
+    scenario: &Scenario,
+    arm: &TrueArm,
+    postures: &[Vec<f64>],
+    warmth: &Warmth,
+    run: &Run,
+    adjustments: &[Adjustment],
+) -> Vec<TrueCycle> {
     let nominal = scenario.robot.chain().prepare(&scenario.robot.nominal());
     // Targets without a nominal place are compared with where they truly sit.
     let expected: Vec<Vector3<f64>> = scenario
@@ -215,11 +243,11 @@ fn cycles(scenario: &Scenario, arm: &TrueArm, postures: &[Vec<f64>], warmth: &Wa
         .collect();
     let mut cold: Vec<(u32, Vec<Vector3<f64>>)> = Vec::new();
     let mut cycles: Vec<(TrueCycle, usize, usize)> = Vec::new();
-    for visit in &run.visits {
+    for (visit, adjustment) in run.visits.iter().zip(adjustments) {
         let posture = &postures[visit.pose as usize];
-        let joints = arm.joints(posture);
+        let joints: Vec<f64> = arm.joints(posture).iter().zip(&adjustment.joints).map(|(q, more)| q + more).collect();
         let nodes_c = warmth.nodes.at(visit.time_s);
-        let flange = arm.flange(&joints, &nodes_c);
+        let flange = arm.flange(&joints, &nodes_c, adjustment);
         let places: Vec<Vector3<f64>> = arm.targets.iter().map(|place| flange.point(place)).collect();
         if !cold.iter().any(|(pose, _)| *pose == visit.pose) {
             cold.push((visit.pose, places.clone()));

@@ -6,6 +6,7 @@ use serde::Deserialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::hidden::HiddenEffect;
 use super::scenario::{Arm, DrawnPostures, Growth, Heat, Noise, Postures, Scenario, Schedule, Sensors, Tracker};
 use crate::input::{InputError, line_of_offset};
 use crate::robot::{ParameterId, Robot, shipped};
@@ -32,6 +33,8 @@ struct ScenarioFile {
     growth: Vec<Growth>,
     sensors: Sensors,
     instrument: Tracker,
+    #[serde(default)]
+    effect: Vec<HiddenEffect>,
 }
 
 /// One step on the way to a value of the file.
@@ -405,8 +408,27 @@ impl Scenario {
         checker.growth(&read.growth, &robot)?;
         checker.sensors(&read.sensors, &robot)?;
         checker.instrument(&read.instrument)?;
-        let ScenarioFile { name, seed, arm, schedule, postures, heat, growth, sensors, instrument, .. } = read;
-        Ok(Self { name, seed, robot, arm, schedule, postures, heat, growth, sensors, instrument })
+        let ScenarioFile {
+            name,
+            seed,
+            arm,
+            schedule,
+            postures,
+            heat,
+            growth,
+            sensors,
+            instrument,
+            effect: effects,
+            ..
+        } = read;
+        let scenario = Self { name, seed, robot, arm, schedule, postures, heat, growth, sensors, instrument, effects };
+        if !scenario.effects.is_empty() {
+            // Whether an effect does anything can only be told by its doing it.
+            if let Err(super::SimulationError::Effect { number, message }) = super::simulate(&scenario) {
+                return Err(checker.error(way!["effect", number], message));
+            }
+        }
+        Ok(scenario)
     }
 
     /// Reads a scenario file.

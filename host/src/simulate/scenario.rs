@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
+use super::hidden::HiddenEffect;
 use crate::robot::{ParameterId, Robot};
 
 /// A checked scenario, ready to be simulated.
@@ -31,6 +32,8 @@ pub struct Scenario {
     pub sensors: Sensors,
     /// How positions are measured.
     pub instrument: Tracker,
+    /// What is wrong beyond geometry and growth.
+    pub effects: Vec<HiddenEffect>,
 }
 
 /// How the true arm differs from its nominal description.

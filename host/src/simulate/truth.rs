@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use super::hidden::HiddenEffect;
+
 /// The truth behind a simulated run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Truth {
@@ -25,6 +27,8 @@ pub struct Truth {
     pub visits: Vec<TrueVisit>,
     /// Every cycle.
     pub cycles: Vec<TrueCycle>,
+    /// Effects of the catalogue that the scenario asked for.
+    pub effects: Vec<HiddenEffect>,
 }
 
 /// A parameter and its true value.
