@@ -9,6 +9,9 @@ use std::path::Path;
 use std::process::Command;
 
 use nalgebra::Vector3;
+use thermokin::calibrate::ObserveOptions;
+use thermokin::discover::{Discovery, DiscoveryRequest, discover, replay};
+use thermokin::effect::SiteNames;
 use thermokin::robot::{Posture, Robot};
 use thermokin::run;
 use thermokin::simulate::{SHIPPED_SCENARIOS, Scenario, Simulated, simulate};
@@ -466,5 +469,46 @@ fn effects_that_cannot_be_are_refused_with_their_line() {
         let error = with(&format!("[[effect]]\n{more}")).expect_err(more);
         assert_eq!(error.line, Some(line), "{error}");
         assert!(error.message.contains(said), "{error}");
+    }
+}
+
+#[test]
+fn a_run_made_of_an_extended_model_looks_like_the_one_that_it_was_found_on() {
+    let mut scenario = with(
+        "[[effect]]\neffect = \"gear_eccentricity\"\nwhere = { joint = 2 }\n\
+         parameters = { amplitude_rad = 2e-4, phase_rad = 0.7, harmonic = 3.0 }",
+    )
+    .expect("it is right");
+    // Heat and waves of other joints would be found as well, the weakest of them once and not again.
+    scenario.growth.clear();
+    scenario.arm.transmission_error_rad = 0.0;
+    let measured = simulated(&scenario);
+    let request = DiscoveryRequest { seed: 1, hold_out: false, ..DiscoveryRequest::default() };
+    let first = discover(&measured.robot, &measured.run, &request).expect("large enough");
+    let model = first.model();
+    let (seed, options) = (5, ObserveOptions::default());
+    println!("noise of seed {seed}");
+    let again = replay(&model, &measured.run, &measured.robot, &options, seed).expect("the run fits the model");
+    assert_eq!(again.notes, measured.run.notes);
+    assert_eq!(again.run.point_count(), measured.run.point_count());
+    assert_eq!(again.run.temperatures, measured.run.temperatures);
+    let second = discover(&measured.robot, &again.run, &request).expect("large enough");
+    let named = |found: &Discovery| -> Vec<(&str, SiteNames)> {
+        found.findings.iter().map(|finding| (finding.effect, finding.place.clone())).collect()
+    };
+    let gear = ("gear_eccentricity", SiteNames { joint: Some(2), ..SiteNames::default() });
+    assert!(named(&first).contains(&gear), "{:?}", named(&first));
+    assert_eq!(named(&first), named(&second));
+    // Six numbers a visit tell the size of what is left: five deviations of the ratio of two such sizes.
+    let freedom = 6.0 * measured.run.visits.len() as f64;
+    for (what, one, other) in [
+        ("baseline", first.baseline.fitted.rms_mm, second.baseline.fitted.rms_mm),
+        ("extended", first.extended.fitted.rms_mm, second.extended.fitted.rms_mm),
+    ] {
+        assert!((one / other).ln().abs() < 5.0 / freedom.sqrt(), "{what}: {one} mm and {other} mm");
+    }
+    for (one, other) in first.findings[0].parameters.iter().zip(&second.findings[0].parameters) {
+        let sigma = ((one.high - one.low) / 3.92).hypot((other.high - other.low) / 3.92);
+        assert!((one.value - other.value).abs() < 5.0 * sigma, "{}: {} and {}", one.name, one.value, other.value);
     }
 }

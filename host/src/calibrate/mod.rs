@@ -38,4 +38,5 @@ pub use robust::Loss;
 pub use solve::{Solution, Stop, Stopping, solve, solve_from};
 pub use strata::{WeighedGrowth, weighed_growth};
 pub use unknown::{GrowthTerm, Names, State, Unknown, keep_order};
+pub(crate) use validation::growth_and_scene;
 pub use validation::{Group, LEVELS, Refit, Trial, Validation, validate};

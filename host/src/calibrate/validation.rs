@@ -113,16 +113,7 @@ impl Trial {
                 break;
             }
             let mut own = campaign.clone();
-            let mut coefficients = Vec::new();
-            for (parameter, sensor, coefficient) in model.growth_at(level) {
-                let places = (campaign.chain.place(parameter), campaign.sensors.iter().position(|name| name == sensor));
-                if let (Some(parameter), Some(sensor)) = places {
-                    own.growth.push(GrowthTerm { parameter, sensor });
-                    coefficients.push(coefficient);
-                } else if level == Level::Thermal {
-                    notes.push(format!("{parameter} cannot follow {sensor}: the run has no such readings"));
-                }
-            }
+            let mut coefficients = grown(model, level, &mut own, &mut notes);
             let mut geometry = model.geometry(level).clone();
             if refit.targets {
                 geometry.targets = observed.nominal.geometry.targets.clone();
@@ -216,6 +207,35 @@ pub fn validate(
     pick: impl Fn(&ObservedVisit) -> bool,
 ) -> Result<Validation, InputError> {
     Ok(Trial::new(model, run, run_robot, options, refit, pick)?.validation(model, run))
+}
+
+/// Gives a campaign the growth of a level of a model as far as the run has its sensors, and returns the coefficients.
+fn grown(model: &Model, level: Level, campaign: &mut Campaign, notes: &mut Vec<String>) -> Vec<f64> {
+    let mut coefficients = Vec::new();
+    for (parameter, sensor, coefficient) in model.growth_at(level) {
+        let places = (campaign.chain.place(parameter), campaign.sensors.iter().position(|name| name == sensor));
+        if let (Some(parameter), Some(sensor)) = places {
+            campaign.growth.push(GrowthTerm { parameter, sensor });
+            coefficients.push(coefficient);
+        } else if level == Level::Thermal {
+            notes.push(format!("{parameter} cannot follow {sensor}: the run has no such readings"));
+        }
+    }
+    coefficients
+}
+
+/// Gives a campaign the growth of a level of a model; its coefficients, and the run as the model's effects see it.
+pub(crate) fn growth_and_scene(
+    model: &Model,
+    run: &Run,
+    observed: &Observed,
+    campaign: &mut Campaign,
+    level: Level,
+    notes: &mut Vec<String>,
+) -> (Vec<f64>, Scene) {
+    let coefficients = grown(model, level, campaign, notes);
+    let scene = scene_of(model, run, observed, campaign, &coefficients);
+    (coefficients, scene)
 }
 
 /// The run as the model's effects see it, with the thermal model fitted together with them.

@@ -1,4 +1,4 @@
-//! `thermokin simulate`: a scenario into a run folder.
+//! `thermokin simulate`: a scenario, or a model on the visits of a run, into a run folder.
 
 use std::path::{Path, PathBuf};
 
@@ -7,9 +7,14 @@ use serde_json::json;
 
 use super::Failure;
 use super::output::JsonOption;
+use crate::calibrate::ObserveOptions;
+use crate::discover::{Replayed, replay};
+use crate::model::Model;
+use crate::robot::Robot;
+use crate::run;
 use crate::simulate::{SHIPPED_SCENARIOS, Scenario, Simulated, TrueCycle, simulate};
 
-const AFTER_HELP: &str = "Example:\n  thermokin simulate thesis-75-25 --out /tmp/run --seed 3\n\n\
+const AFTER_HELP: &str = "Example:\n  thermokin simulate thesis-75-25 --out /tmp/run --seed 3\n  thermokin simulate RUN --model extended.json --out /tmp/again\n\n\
     Scenarios that ship: thesis-75-25 and thesis-90-30 (one arm, two runs), small. host/docs/scenario.md says how to \
     write one.";
 
@@ -17,12 +22,16 @@ const AFTER_HELP: &str = "Example:\n  thermokin simulate thesis-75-25 --out /tmp
 #[derive(Debug, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct Arguments {
-    /// A scenario file, or the name of one that ships
+    /// A scenario file, or the name of one that ships; with --model, a run folder
+    #[arg(value_name = "SCENARIO")]
     scenario: PathBuf,
+    /// Measure the visits of a run again, at its temperatures, on an arm that is as this model says, noise and effects included
+    #[arg(long, value_name = "MODEL", conflicts_with = "truth")]
+    model: Option<PathBuf>,
     /// The run folder to make
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
-    /// The seed of the run instead of the scenario's; the arm keeps its own
+    /// The seed of the run instead of the scenario's; the arm keeps its own. With --model: of the noise
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Write what only the simulator knows, as JSON
@@ -40,14 +49,17 @@ pub struct Arguments {
 /// # Errors
 /// Bad usage or input; a disk that does not take the run.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut scenario = scenario(&arguments.scenario)?;
-    if let Some(seed) = arguments.seed {
-        scenario.seed = seed;
-    }
     let out = &arguments.out;
     let occupied = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
     if occupied && !arguments.force {
         return Err(Failure::Usage(format!("{}: is not empty; expected a new folder, or --force", out.display())));
+    }
+    if let Some(model) = &arguments.model {
+        return again(arguments, &Model::read(model)?);
+    }
+    let mut scenario = scenario(&arguments.scenario)?;
+    if let Some(seed) = arguments.seed {
+        scenario.seed = seed;
     }
     let simulated = simulate(&scenario).map_err(|error| Failure::Usage(format!("{}: {error}", scenario.name)))?;
     simulated.write(out).map_err(|error| Failure::Work(error.to_string()))?;
@@ -60,6 +72,26 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         print_summary(&simulated, out);
     }
     arguments.json.write(&summary_json(&simulated))
+}
+
+/// A run that is measured again on an arm that is as a model says.
+fn again(arguments: &Arguments, model: &Model) -> Result<(), Failure> {
+    let run = run::read(&arguments.scenario)?;
+    let robot = Robot::read(&run.description.robot)?;
+    let seed = arguments.seed.unwrap_or(1);
+    let Replayed { run: replayed, notes } = replay(model, &run, &robot, &ObserveOptions::default(), seed)?;
+    run::write(&replayed, &arguments.out).map_err(|error| Failure::Work(error.to_string()))?;
+    if arguments.json.leaves_words() {
+        let (visits, points) = (replayed.visits.len(), replayed.point_count());
+        println!("{}: {visits} visits, {points} points, as {} has them", arguments.out.display(), model.robot.name);
+        for note in &notes {
+            println!("note: {note}");
+        }
+    }
+    arguments.json.write(&json!({
+        "format": 1, "command": "simulate", "seed": seed, "visits": replayed.visits.len(),
+        "points": replayed.point_count(), "notes": notes,
+    }))
 }
 
 fn scenario(named: &Path) -> Result<Scenario, Failure> {

@@ -389,7 +389,7 @@ const DRAWS: usize = 200;
 const LARGEST: usize = 30_000_000;
 
 /// White noise, one column a draw.
-fn white_noise(random: &mut ChaCha8Rng, rows: usize, draws: usize) -> DMatrix<f64> {
+pub(super) fn white_noise(random: &mut ChaCha8Rng, rows: usize, draws: usize) -> DMatrix<f64> {
     let mut uniform = || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
     DMatrix::from_fn(rows, draws, |_, _| {
         let radius = libm::sqrt(-2.0 * libm::log(1.0 - uniform()));

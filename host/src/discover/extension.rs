@@ -2,7 +2,7 @@
 
 use super::discovery::Discovery;
 use super::estimate::{Estimate, estimates};
-use crate::model::{EffectParameter, Extended, ExtendedGrowth, Model, ModelEffect};
+use crate::model::{EffectParameter, Extended, ExtendedGrowth, ExtendedNoise, Model, ModelEffect};
 
 impl Discovery {
     /// The calibrated model with the effects that were found, and with the geometry and growth that were fitted together with
@@ -51,6 +51,12 @@ impl Discovery {
             growth,
             air_reference_c: self.scene.air_reference_c.or_else(|| self.scene.air_at_first()),
             effects,
+            noise: Some(ExtendedNoise {
+                point: self.noise.point,
+                visit_rad: self.noise.visit.clone(),
+                posture_rad: self.noise.posture,
+                cycle_rad: self.noise.cycle,
+            }),
         });
         model
     }

@@ -15,6 +15,7 @@ mod noise;
 pub mod normal;
 mod postures;
 pub mod readings;
+mod replay;
 pub mod search;
 mod separate;
 pub mod stage;
@@ -25,3 +26,4 @@ pub use discovery::{
 };
 pub use estimate::Estimate;
 pub use gross::{Outlier, Swap};
+pub use replay::{Replayed, replay};

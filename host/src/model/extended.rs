@@ -55,6 +55,28 @@ pub struct Extended {
     pub air_reference_c: Option<f64>,
     /// The effects.
     pub effects: Vec<ModelEffect>,
+    /// The noise that is left beside them; none in files that do not say.
+    pub noise: Option<ExtendedNoise>,
+}
+
+/// Sizes of noise beside a model: standard deviations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExtendedNoise {
+    /// Of one coordinate of one point, in units of what run.toml states.
+    pub point: f64,
+    /// Of each joint from visit to visit, radians or metres.
+    pub visit_rad: Vec<f64>,
+    /// Of each joint at each posture, shared by its visits.
+    pub posture_rad: f64,
+    /// Of each joint in each cycle, shared by its visits.
+    pub cycle_rad: f64,
+}
+
+impl ExtendedNoise {
+    /// Nothing beside the instrument's own.
+    pub fn of_instrument(joints: usize) -> Self {
+        Self { point: 1.0, visit_rad: vec![0.0; joints], posture_rad: 0.0, cycle_rad: 0.0 }
+    }
 }
 
 impl ModelEffect {

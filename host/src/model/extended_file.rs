@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::extended::{EffectParameter, Extended, ExtendedGrowth, ModelEffect};
+use super::extended::{EffectParameter, Extended, ExtendedGrowth, ExtendedNoise, ModelEffect};
 use super::geometry::{Geometry, ReferenceTemperature};
 use crate::effect::{Instance, InstanceError, SiteNames, Values, by_name};
 use crate::input::InputError;
@@ -22,6 +22,19 @@ pub(super) struct ExtendedEntry {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     air_reference_c: Option<f64>,
     effects: Vec<EffectEntry>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    noise: Option<NoiseEntry>,
+}
+
+/// Standard deviations of what is left.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NoiseEntry {
+    /// In units of the instrument's.
+    point: f64,
+    visit_rad: Vec<f64>,
+    posture_rad: f64,
+    cycle_rad: f64,
 }
 
 /// How the extended values are to be used.
@@ -114,6 +127,12 @@ impl ExtendedEntry {
             thermal_coefficients: growth.collect(),
             air_reference_c: extended.air_reference_c,
             effects: effects.collect(),
+            noise: extended.noise.as_ref().map(|noise| NoiseEntry {
+                point: noise.point,
+                visit_rad: noise.visit_rad.clone(),
+                posture_rad: noise.posture_rad,
+                cycle_rad: noise.cycle_rad,
+            }),
         }
     }
 
@@ -153,6 +172,22 @@ impl ExtendedEntry {
                 entry.read(&chain, &sensors, robot).map_err(|error| fail(format!("effect {}: {error}", number + 1)))
             })
             .collect::<Result<Vec<_>, InputError>>()?;
+        let noise = self.noise.map(|NoiseEntry { point, visit_rad, posture_rad, cycle_rad }| ExtendedNoise {
+            point,
+            visit_rad,
+            posture_rad,
+            cycle_rad,
+        });
+        if let Some(noise) = &noise {
+            let sizes = [noise.point, noise.posture_rad, noise.cycle_rad];
+            let is_right = |size: &f64| size.is_finite() && *size >= 0.0;
+            if noise.visit_rad.len() != chain.joint_count() || !sizes.iter().chain(&noise.visit_rad).all(is_right) {
+                return Err(fail(format!(
+                    "noise: expected sizes of 0 or more, visit_rad one for each of {} joints",
+                    chain.joint_count()
+                )));
+            }
+        }
         Ok(Extended {
             geometry: Geometry {
                 parameters: self.parameters.iter().map(|entry| entry.value).collect(),
@@ -162,6 +197,7 @@ impl ExtendedEntry {
             growth,
             air_reference_c: self.air_reference_c,
             effects,
+            noise,
         })
     }
 }

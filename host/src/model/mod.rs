@@ -12,6 +12,6 @@ mod geometry;
 
 pub use bounds::CorrectionBounds;
 pub use errors::{ErrorTally, Errors};
-pub use extended::{Applied, EffectParameter, Extended, ExtendedGrowth, ModelEffect};
+pub use extended::{Applied, EffectParameter, Extended, ExtendedGrowth, ExtendedNoise, ModelEffect};
 pub use file::{HOW_TO_APPLY, ModelFileError};
 pub use geometry::{Geometry, Growth, Level, Model, ParameterEstimate, ReferenceTemperature};

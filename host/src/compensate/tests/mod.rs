@@ -99,6 +99,7 @@ fn calibrated(name: &str, dice: &mut Dice) -> Model {
                 .collect(),
             air_reference_c: None,
             effects,
+            noise: None,
         }),
         robot,
     }
