@@ -56,6 +56,7 @@ fn model(robot: Robot, random: &mut ChaCha8Rng) -> Model {
             growth: Vec::new(),
             air_reference_c: None,
             effects: vec![eccentric(2), eccentric(3)],
+            noise: None,
         }),
         reference,
         robot,
