@@ -205,19 +205,27 @@ impl<'a> Ground<'a> {
     /// Scores of all candidates that gain anything, best first.
     pub fn score(&self, candidates: &[Candidate]) -> Vec<Score> {
         let at_postures = AtPostures::new(&self.normal, &self.rivals.factors, None);
-        let of_candidate = |candidate: &Candidate| {
-            let shapes = worth_a_look(&at_postures, self.stage(), self.scene, candidate);
-            let tried = shapes.chunks(SIDE_BY_SIDE).flat_map(|shapes| {
-                let hypotheses: Vec<&[Column]> = shapes.iter().map(|(_, columns)| columns.as_slice()).collect();
-                let projected = at_postures.projected(&hypotheses).into_iter().zip(shapes);
-                let tried = projected.filter_map(|(projected, (shape, columns))| {
-                    self.try_projected(&projected, columns, candidate, shape)
-                });
-                tried.collect::<Vec<_>>()
+        let of_some = |some: &[Candidate]| {
+            let looked_at = some.iter().enumerate().flat_map(|(rank, candidate)| {
+                let shapes = worth_a_look(&at_postures, self.stage(), self.scene, candidate);
+                shapes.into_iter().map(move |(shape, columns)| (rank, shape, columns))
             });
-            tried.map(|tried| score_of(candidate, tried, self.trials)).min_by(|a, b| a.ln_p.total_cmp(&b.ln_p))
+            let looked_at: Vec<(usize, Vec<f64>, Vec<Column>)> = looked_at.collect();
+            let mut best: Vec<Option<Score>> = vec![None; some.len()];
+            for hypotheses in looked_at.chunks(SIDE_BY_SIDE) {
+                let columns: Vec<&[Column]> = hypotheses.iter().map(|(.., columns)| columns.as_slice()).collect();
+                for (projected, (rank, shape, columns)) in at_postures.projected(&columns).iter().zip(hypotheses) {
+                    let tried = self.try_projected(projected, columns, &some[*rank], shape);
+                    let score = tried.map(|tried| score_of(&some[*rank], tried, self.trials));
+                    let best = &mut best[*rank];
+                    if score.as_ref().is_some_and(|own| best.as_ref().is_none_or(|best| own.ln_p < best.ln_p)) {
+                        *best = score;
+                    }
+                }
+            }
+            best.into_iter().flatten()
         };
-        let mut scores: Vec<Score> = candidates.par_iter().filter_map(of_candidate).collect();
+        let mut scores: Vec<Score> = candidates.par_chunks(TOGETHER).flat_map_iter(of_some).collect();
         scores.sort_by(|a, b| a.ln_p.total_cmp(&b.ln_p));
         scores
     }
@@ -349,7 +357,10 @@ impl Gap {
 }
 
 /// Hypotheses that are projected together: enough for one product to be worth it, few enough for the cache.
-const SIDE_BY_SIDE: usize = 32;
+const SIDE_BY_SIDE: usize = 64;
+
+/// Candidates that are looked at together: few enough to be shared out evenly.
+const TOGETHER: usize = 8;
 
 /// Of long scans the shapes that explain most by a rough measure, with their columns; all shapes of short ones.
 fn worth_a_look(

@@ -1,6 +1,6 @@
 //! Tail probabilities, as logarithms: what is found is often far beyond the smallest number that a computer holds.
 
-use statrs::function::beta::ln_beta;
+use statrs::function::beta::{beta_reg, ln_beta};
 use statrs::function::gamma::{gamma_ur, ln_gamma};
 
 /// `ln P(χ²_k > x)`.
@@ -47,10 +47,18 @@ pub fn ln_likelihood_ratio(x: f64, k: usize, n: f64) -> f64 {
     ln_beta_lower(a, b, (-x / n).exp())
 }
 
+/// Chances above this can be told as numbers.
+const TELLABLE: f64 = 1e-250;
+
 /// `ln I_z(a, b)`, the regularised incomplete beta function, accurate for small values.
 fn ln_beta_lower(a: f64, b: f64, z: f64) -> f64 {
     if z >= 1.0 {
         return 0.0;
+    }
+    // The continued fraction needs few terms where the series below needs thousands.
+    let chance = beta_reg(a, b, z);
+    if chance > TELLABLE {
+        return chance.ln();
     }
     let (mut term, mut sum) = (1.0, 1.0);
     for i in 0..20_000 {
@@ -95,6 +103,11 @@ mod tests {
         let x = 11.0 * (f / 10.0).ln_1p();
         assert!((ln_likelihood_ratio(x, 1, 11.0) - 0.05_f64.ln()).abs() < 1e-9);
         assert!(ln_likelihood_ratio(30.0, 2, 60.0) > ln_chi_square(30.0, 2));
+        // Of two degrees the tail is a power, as a number and beyond what a number can be: exp(-x / n) to the n / 2 - 1.
+        for (x, n) in [(3.0, 900.0), (200.0, 900.0), (1100.0, 900.0), (1300.0, 1900.0), (4000.0, 1900.0)] {
+            let exact = -x / n * (0.5 * n - 1.0);
+            assert!((ln_likelihood_ratio(x, 2, n) - exact).abs() < 1e-9 * exact.abs().max(1.0), "{x} of {n}");
+        }
     }
 
     #[test]

@@ -1,10 +1,15 @@
 //! What is left of hypotheses when nuisance and shared errors are projected out, and the directions in which they can be
 //! tested.
 
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
 use super::normal::{Cross, Layout, Normal, Rows, Strata};
 use super::stage::Stage;
+
+/// Rows of a triangle that are multiplied together.
+const ROWS_AT_ONCE: usize = 48;
 
 /// The inverse factor of the normal equations under given sizes of the shared errors.
 pub struct Factor {
@@ -74,12 +79,20 @@ impl Factor {
         self.posture == 0.0 && self.cycle == 0.0
     }
 
-    fn chosen_rows(&self, with: &DMatrix<f64>) -> DMatrix<f64> {
-        if self.chosen.len() == with.nrows() { with.clone() } else { with.select_rows(&self.chosen) }
+    fn chosen_rows<'m>(&self, with: &'m DMatrix<f64>) -> Cow<'m, DMatrix<f64>> {
+        if self.chosen.len() == with.nrows() { Cow::Borrowed(with) } else { Cow::Owned(with.select_rows(&self.chosen)) }
     }
 
     fn turned(&self, with: &DMatrix<f64>) -> DMatrix<f64> {
-        &self.inverse * self.chosen_rows(with)
+        let with = self.chosen_rows(with);
+        let mut turned = DMatrix::zeros(with.nrows(), with.ncols());
+        // Of a triangle only what is below its diagonal counts.
+        for first in (0..with.nrows()).step_by(ROWS_AT_ONCE) {
+            let rows = ROWS_AT_ONCE.min(with.nrows() - first);
+            let left = self.inverse.view((first, 0), (rows, first + rows));
+            turned.rows_mut(first, rows).gemm(1.0, &left, &with.rows(0, first + rows), 0.0);
+        }
+        turned
     }
 
     /// Projects an hypothesis.
@@ -116,8 +129,7 @@ impl Factor {
 
     /// `L⁻¹` times the draws' products: what [`Factor::project_draws`] needs, once for all hypotheses.
     pub fn turn_draws(&self, normal: &Normal<'_>, shared: &DMatrix<f64>) -> DMatrix<f64> {
-        let all = &normal.drawn_right + &normal.system.matrix * shared;
-        &self.inverse * self.chosen_rows(&all)
+        self.turned(&(&normal.drawn_right + &normal.system.matrix * shared))
     }
 
     /// For each joint, over all visits: the sum of squares of what the residual says of its errors, and what noise of the

@@ -111,7 +111,8 @@ fn linearise(campaign: &Campaign, scene: &Scene, point: &Point, unknowns: &[Unkn
     (stage, owners)
 }
 
-/// Fits all values from a point near them. `scene` follows the thermal coefficients.
+/// Fits all values from a point near them; the noise from that of a model near it, where there is one. `scene` follows the
+/// thermal coefficients.
 pub fn fit(
     campaign: &Campaign,
     scene: &mut Scene,
@@ -127,8 +128,10 @@ pub fn fit(
     }
     update_growth(scene, campaign, &point);
     let (mut stage, mut owners) = linearise(campaign, scene, &point, unknowns);
-    let mut noise = noise.unwrap_or_else(|| strata(&stage));
-    let settled = if point.effects.is_empty() { 0 } else { 1 };
+    // Weighed once a new effect has found its size: before, what it explains would count as noise.
+    let first = if point.effects.is_empty() { 0 } else { 1 };
+    let mut is_weighed = false;
+    let mut noise = noise.unwrap_or_else(|| strata(&stage, None));
     let mut system = System::new(&stage, &Rows::new(&stage), &noise);
     for round in 0..ROUNDS {
         let factor = system.factor(noise.posture, noise.cycle)?;
@@ -150,6 +153,12 @@ pub fn fit(
             })
             .flatten();
         let Some(next) = taken else {
+            if !is_weighed {
+                noise = strata(&stage, Some(&noise));
+                system = System::new(&stage, &Rows::new(&stage), &noise);
+                is_weighed = true;
+                continue;
+            }
             update_growth(scene, campaign, &point);
             let covariances =
                 (0..point.effects.len()).map(|effect| own_covariance(effect, &owners, &covariance)).collect();
@@ -157,8 +166,9 @@ pub fn fit(
             return Some(Fit { point, stage, strata: noise, log_likelihood, covariances });
         };
         (point, stage, owners, system) = next;
-        if round == settled {
-            noise = strata(&stage);
+        if round >= first && !is_weighed {
+            is_weighed = true;
+            noise = strata(&stage, Some(&noise));
             system = System::new(&stage, &Rows::new(&stage), &noise);
         }
     }

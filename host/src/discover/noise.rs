@@ -72,23 +72,28 @@ const MOST: f64 = 1e-2;
 const FREE: f64 = 1.0;
 
 /// Rounds in which the joints' noises find their sizes, and the change of a logarithm at which they have.
-const JOINT_ROUNDS: usize = 8;
+const JOINT_ROUNDS: usize = 12;
 const SETTLED: f64 = 0.02;
 
-/// The strata of a stage.
-pub fn strata(stage: &Stage) -> Strata {
+/// The strata of a stage. `near` are those of a model that differs little, from which the search for them begins.
+pub fn strata(stage: &Stage, near: Option<&Strata>) -> Strata {
     let joints = stage.places.joints();
     let mut strata =
         Strata { point: point(stage).unwrap_or(1.0), visit: vec![LEAST; joints], posture: 0.0, cycle: 0.0 };
     let rows = Rows::new(stage);
     // Between the visits of a posture alone, so that what is fixed by the posture does not count.
     let free = if stage.repeats() { FREE } else { 0.0 };
-    let (visit, _) = golden(LEAST.ln(), MOST.ln(), 9, |log| {
-        let visit = vec![log.exp(); joints];
-        System::new(stage, &rows, &Strata { visit, ..strata.clone() }).log_likelihood(free, 0.0)
-    });
-    strata.visit = vec![visit.exp(); joints];
-    // From the common size each joint's own: where residuals say more of a joint's errors than noise of its size would,
+    strata.visit = match near {
+        Some(near) => near.visit.clone(),
+        None => {
+            let (visit, _) = golden(LEAST.ln(), MOST.ln(), 9, |log| {
+                let visit = vec![log.exp(); joints];
+                System::new(stage, &rows, &Strata { visit, ..strata.clone() }).log_likelihood(free, 0.0)
+            });
+            vec![visit.exp(); joints]
+        }
+    };
+    // From there each joint's own: where residuals say more of a joint's errors than noise of its size would,
     // the size grows in proportion.
     for _ in 0..JOINT_ROUNDS {
         let system = System::new(stage, &rows, &strata);

@@ -428,18 +428,42 @@ impl<'a> Normal<'a> {
             }
             cross.drawn.row_mut(rank).copy_from(&drawn.transpose());
         }
-        for visit in 0..self.white.blocks.len() {
+        self.own_products(columns, &mut cross.own);
+        cross.own.fill_upper_triangle_with_lower_triangle();
+        cross
+    }
+
+    /// The lower triangle of the products of columns among themselves.
+    fn own_products(&self, columns: &[Column], own: &mut DMatrix<f64>) {
+        let single: Option<Vec<(usize, &[f64])>> = columns
+            .iter()
+            .map(|column| match column.as_slice() {
+                [(place, amounts)] => Some((*place, amounts.as_slice())),
+                _ => None,
+            })
+            .collect();
+        for (visit, block) in self.white.blocks.iter().enumerate() {
             if columns.iter().all(|column| column.iter().all(|(_, amounts)| amounts[visit] == 0.0)) {
+                continue;
+            }
+            // Most hypotheses act in one place each; their rows need not be laid out.
+            if let Some(single) = &single {
+                for (i, (one, amounts)) in single.iter().enumerate() {
+                    for (j, (other, others)) in single[..=i].iter().enumerate() {
+                        let amount = amounts[visit] * others[visit];
+                        if amount != 0.0 {
+                            own[(i, j)] += amount * block.places.column(*one).dot(&block.places.column(*other));
+                        }
+                    }
+                }
                 continue;
             }
             let rows: Vec<DVector<f64>> = columns.iter().map(|column| self.white.rows_of(column, visit)).collect();
             for i in 0..rows.len() {
                 for j in 0..=i {
-                    cross.own[(i, j)] += rows[i].dot(&rows[j]);
+                    own[(i, j)] += rows[i].dot(&rows[j]);
                 }
             }
         }
-        cross.own.fill_upper_triangle_with_lower_triangle();
-        cross
     }
 }

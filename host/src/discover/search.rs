@@ -123,8 +123,8 @@ impl Quest<'_> {
         best
     }
 
-    fn fit(&self, scene: &mut Scene, point: Point) -> Option<Fit> {
-        fit(self.campaign, scene, point, self.unknowns, None)
+    fn fit(&self, scene: &mut Scene, point: Point, near: &Fit) -> Option<Fit> {
+        fit(self.campaign, scene, point, self.unknowns, Some(near.strata.clone()))
     }
 
     /// Adds effects to a fit as long as the data ask for them.
@@ -145,7 +145,7 @@ impl Quest<'_> {
             let Some(best) = scores.first().filter(likely) else { break };
             let mut point = last.point.clone();
             point.effects.push(best.instance.clone());
-            let Some(next) = self.fit(scene, point) else { break };
+            let Some(next) = self.fit(scene, point, &last) else { break };
             last = self.prune(scene, next);
             let same = |known: &Vec<Instance>| {
                 let now = &last.point.effects;
@@ -177,7 +177,7 @@ impl Quest<'_> {
             let Some((place, _)) = weakest.filter(|(_, ln_p)| *ln_p > FALSE_NAME.ln()) else { break };
             let mut point = fitted.point.clone();
             point.effects.remove(place);
-            let Some(next) = self.fit(scene, point) else { break };
+            let Some(next) = self.fit(scene, point, &fitted) else { break };
             fitted = next;
         }
         fitted
@@ -216,7 +216,7 @@ impl Search {
                 let own = point.effects.remove(place);
                 let without = match point.effects.is_empty() {
                     true => Some(self.baseline.clone()),
-                    false => quest.fit(scene, point),
+                    false => quest.fit(scene, point, &self.last),
                 };
                 let Some(without) = without else { continue };
                 update_growth(scene, quest.campaign, &without.point);
@@ -241,7 +241,7 @@ impl Search {
                     // What the rival gains by having fewer numbers and shapes counts beside what it fits.
                     let simpler = (mine.ln_p - best.ln_p) - 0.5 * (best.ratio - mine.ratio);
                     let least = self.last.log_likelihood - simpler + LEAST_BETTER;
-                    if let Some(next) = quest.fit(scene, point).filter(|next| next.log_likelihood > least) {
+                    if let Some(next) = quest.fit(scene, point, &self.last).filter(|next| next.log_likelihood > least) {
                         exchanges += 1;
                         self.last = quest.climb(scene, next);
                         continue 'again;
