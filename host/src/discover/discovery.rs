@@ -589,7 +589,8 @@ fn rest(campaign: &Campaign, scene: &Scene, found: &Search, baseline_rms_mm: f64
     Unexplained {
         significant: ln_p < FALSE_REST.ln(),
         ln_p,
-        rms_mm: parts.iter().map(|part| part.rms_mm.powi(2)).sum::<f64>().sqrt(),
+        // The sum of nothing is minus zero.
+        rms_mm: parts.iter().fold(0.0, |sum, part| sum + part.rms_mm.powi(2)).sqrt(),
         parts,
     }
 }
