@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use thermokin::import::{Loaded, Mapping, Source};
 use thermokin::input::InputError;
 use thermokin::robot::Robot;
 use thermokin::run::RunFiles;
@@ -43,6 +44,10 @@ pub fn holds(file: &str, bytes: &[u8]) {
         robot_holds(bytes);
         return;
     }
+    if let Some(file) = file.strip_prefix("import/") {
+        import_holds(file, bytes);
+        return;
+    }
     let folder = Path::new("/no/such/folder");
     match fixture_with(file, bytes).parse(folder) {
         Err(error) => {
@@ -55,6 +60,60 @@ pub fn holds(file: &str, bytes: &[u8]) {
             assert_eq!(RunFiles::of(&again, folder).expect("still written"), written, "the same run, the same bytes");
             again.notes.clone_from(&run.notes);
             assert_eq!(again, run);
+        }
+    }
+}
+
+/// The files of the mapping that an import begins with.
+const IMPORT: [(&str, &[u8]); 7] = [
+    ("import.toml", include_bytes!("fixture/import/import.toml")),
+    ("points.txt", include_bytes!("fixture/import/points.txt")),
+    ("joints.csv", include_bytes!("fixture/import/joints.csv")),
+    ("temperatures.csv", include_bytes!("fixture/import/temperatures.csv")),
+    ("machine.csv", include_bytes!("fixture/import/machine.csv")),
+    ("holders.txt", include_bytes!("fixture/import/holders.txt")),
+    ("targets.csv", include_bytes!("fixture/import/targets.csv")),
+];
+
+/// The mapping's text, and the files that it names; one of them replaced.
+fn import_with<'b>(replaced: &str, bytes: &'b [u8]) -> (Vec<u8>, impl Fn(&str) -> Vec<Source> + 'b) {
+    let replaced = replaced.to_owned();
+    let of = move |name: &str| match IMPORT.iter().find(|(own, _)| *own == name) {
+        _ if name == replaced => bytes.to_vec(),
+        Some((_, own)) => own.to_vec(),
+        None => panic!("an import has no file {name}"),
+    };
+    let mapping = of("import.toml");
+    (mapping, move |name| vec![Source { path: Path::new("/no/such/folder").join(name), bytes: of(name) }])
+}
+
+/// An import either says what is wrong or gives a run that can be written and read.
+fn import_holds(file: &str, bytes: &[u8]) {
+    let (mapping, of) = import_with(file, bytes);
+    let Ok(text) = str::from_utf8(&mapping) else { return };
+    let folder = Path::new("/no/such/folder");
+    let imported = Mapping::parse(&folder.join("import.toml"), text).and_then(|mapping| {
+        mapping.import(&Loaded {
+            tracker: vec![of("points.txt")],
+            joints: vec![of("joints.csv")],
+            temperatures: vec![of("temperatures.csv")],
+            holders: Some([of("machine.csv"), of("holders.txt"), of("targets.csv")]),
+            robot: None,
+        })
+    });
+    match imported {
+        Err(error) => {
+            // What no single file is to blame for is said of the mapping as a whole.
+            let has_line = error.line.is_some_and(|line| line > 0) || error.file.ends_with("import.toml");
+            assert!(has_line, "names no line: {error}");
+            is_helpful(&error);
+        }
+        Ok(imported) => {
+            let files = imported.files(folder).expect("what was imported can be written");
+            let run = files.parse(folder).expect("what was written can be read");
+            assert_eq!(run.point_count(), imported.report.points);
+            assert_eq!(run.visits.len(), imported.report.visits);
+            Robot::parse(folder, &imported.robot).expect("its robot can be read");
         }
     }
 }

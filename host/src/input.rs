@@ -26,6 +26,13 @@ impl InputError {
     pub fn at_line(file: &Path, line: usize, message: impl Into<String>) -> Self {
         Self { file: file.to_owned(), line: Some(line), message: message.into() }
     }
+
+    /// What the parser of a TOML file says, in one line.
+    pub fn of_toml(file: &Path, text: &str, error: &toml::de::Error) -> Self {
+        let line = error.span().map(|span| line_of_offset(text, span.start));
+        let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+        Self { file: file.to_owned(), line, message }
+    }
 }
 
 /// The line, counted from 1, of a byte offset in a text.

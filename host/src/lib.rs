@@ -7,6 +7,7 @@ pub mod cli;
 pub mod compensate;
 pub mod discover;
 pub mod effect;
+pub mod import;
 pub mod input;
 pub mod live;
 pub mod logger;

@@ -3,7 +3,7 @@
 //! For given targets the base is an absolute orientation (Kabsch 1976); for a given base each target is a mean. The two
 //! alternate from targets at the flange's origin, which needs no idea of where the base is.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use super::campaign::Campaign;
 use super::problem::Problem;
@@ -81,7 +81,7 @@ fn place_base(campaign: &Campaign, state: &mut State, unknown_targets: &[usize])
             let targets = &state.geometry.targets;
             visit.positions.iter().map(move |position| (flange.point(&targets[position.target]), position.at))
         });
-        base = absolute_orientation(pairs);
+        base = Frame::registered(pairs);
         for &target in unknown_targets {
             let (mut sum, mut count) = (Vector3::zeros(), 0.0);
             for (visit, flange) in campaign.visits.iter().zip(&flanges) {
@@ -108,27 +108,6 @@ fn place_base(campaign: &Campaign, state: &mut State, unknown_targets: &[usize])
         before = squares;
     }
     base
-}
-
-/// The rigid motion that brings first points closest to second ones.
-fn absolute_orientation(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> + Clone) -> Frame {
-    let (mut count, mut from_mean, mut to_mean) = (0.0, Vector3::zeros(), Vector3::zeros());
-    for (from, to) in pairs.clone() {
-        count += 1.0;
-        from_mean += from;
-        to_mean += to;
-    }
-    from_mean /= count;
-    to_mean /= count;
-    let covariance =
-        pairs.fold(Matrix3::zeros(), |sum, (from, to)| sum + (to - to_mean) * (from - from_mean).transpose());
-    let svd = covariance.svd(true, true);
-    let (u, v_t) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
-    // A reflection is no motion: the weakest direction is turned over.
-    let mut signs = Vector3::new(1.0, 1.0, 1.0);
-    signs[svd.singular_values.imin()] = (u * v_t).determinant().signum();
-    let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
-    Frame { rotation, origin: to_mean - rotation * from_mean }
 }
 
 /// The value nearest to `near` that differs from `angle` by whole turns.

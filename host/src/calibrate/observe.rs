@@ -199,6 +199,9 @@ pub fn observe(
             continue;
         };
         let away = mean(seen.iter().map(|(_, point)| (point.position - station).norm())).unwrap_or(0.0);
+        // The spread of samples shows an arm that had not come to rest; that an instrument errs alike in all of them it hides.
+        let own_noise = mean(seen.iter().filter_map(|(_, point)| point.sigma_m.map(|sigma| sigma * sigma)));
+        let own_noise = own_noise.map_or(0.0, f64::sqrt);
         let turns = seen.iter().filter(|_| options.orientations).filter_map(|&(target, point)| {
             let at: UnitQuaternion<f64> = point.orientation?;
             Some(ObservedTurn { target, at })
@@ -211,7 +214,7 @@ pub fn observe(
             rises,
             turns: turns.collect(),
             positions: seen.iter().map(|&(target, point)| ObservedPosition { target, at: point.position }).collect(),
-            sigma: (instrument.sigma_m + instrument.sigma_per_m * away).max(SMALLEST_SIGMA),
+            sigma: (instrument.sigma_m + instrument.sigma_per_m * away).max(own_noise).max(SMALLEST_SIGMA),
             turn_sigma: instrument.sigma_rad.unwrap_or(1.0).max(SMALLEST_SIGMA),
             distances,
         });

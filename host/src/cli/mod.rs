@@ -8,6 +8,7 @@ mod conditions;
 mod demo;
 mod discover;
 mod export;
+mod import;
 mod log;
 mod method_table;
 mod output;
@@ -45,6 +46,7 @@ enum Command {
     Report(report::Arguments),
     Export(export::Arguments),
     Robot(robot::Arguments),
+    Import(import::Arguments),
     Demo(demo::Arguments),
 }
 
@@ -85,6 +87,7 @@ pub fn main() -> ExitCode {
         Command::Report(arguments) => report::run(arguments),
         Command::Export(arguments) => export::run(arguments),
         Command::Robot(arguments) => robot::run(arguments),
+        Command::Import(arguments) => import::run(arguments),
         Command::Demo(arguments) => demo::run(arguments),
     };
     match outcome {

@@ -123,11 +123,6 @@ impl TransformTable {
     }
 }
 
-/// Turns what a TOML parser says into one line.
-pub(super) fn one_line(message: &str) -> String {
-    message.split_whitespace().collect::<Vec<_>>().join(" ")
-}
-
 /// The text of one robot.toml with the words to complain about it.
 struct Reader<'a> {
     file: &'a Path,
@@ -354,10 +349,7 @@ impl Robot {
     /// that are used twice, sensors or parameters that do not exist, a chain that cannot be.
     pub fn parse(file: &Path, text: &str) -> Result<Robot, InputError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let content = toml::from_str::<RobotFile>(text).map_err(|error| {
-            let line = error.span().map(|span| line_of_offset(text, span.start));
-            InputError { file: file.to_owned(), line, message: one_line(error.message()) }
-        })?;
+        let content = toml::from_str::<RobotFile>(text).map_err(|error| InputError::of_toml(file, text, &error))?;
         Reader { file, text }.robot(content)
     }
 

@@ -27,6 +27,28 @@ impl Frame {
         unit.then(|| Self { rotation: rotation(), origin })
     }
 
+    /// The frame in which the first point of each pair lies nearest to where the second is seen from outside: an absolute
+    /// orientation (Kabsch 1976). Three pairs that are no line determine it.
+    pub fn registered(pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> + Clone) -> Self {
+        let (mut count, mut from_mean, mut to_mean) = (0.0, Vector3::zeros(), Vector3::zeros());
+        for (from, to) in pairs.clone() {
+            count += 1.0;
+            from_mean += from;
+            to_mean += to;
+        }
+        from_mean /= count;
+        to_mean /= count;
+        let covariance =
+            pairs.fold(Matrix3::zeros(), |sum, (from, to)| sum + (to - to_mean) * (from - from_mean).transpose());
+        let svd = covariance.svd(true, true);
+        let (u, v_t) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
+        // A reflection is no motion: the weakest direction is turned over.
+        let mut signs = Vector3::new(1.0, 1.0, 1.0);
+        signs[svd.singular_values.imin()] = (u * v_t).determinant().signum();
+        let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
+        Self { rotation, origin: to_mean - rotation * from_mean }
+    }
+
     /// A point of this frame in the outer frame.
     pub fn point(&self, local: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * local + self.origin

@@ -70,9 +70,10 @@ struct RunToml {
     anchors: Vec<AnchorToml>,
 }
 
+/// `[instrument]` as it is written.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-struct InstrumentToml {
+pub(crate) struct InstrumentToml {
     name: Spanned<String>,
     position: Spanned<[f64; 3]>,
     sigma_m: Spanned<f64>,
@@ -105,13 +106,7 @@ pub(super) fn parse(folder: &Path, bytes: &[u8]) -> Result<Parsed, InputError> {
         InputError::at_line(&file, line, "is not UTF-8 text; expected TOML in UTF-8")
     })?;
     let checker = Checker { file: &file, text };
-    let raw: RunToml = toml::from_str(text).map_err(|error| {
-        let message = error.message().lines().collect::<Vec<_>>().join("; ");
-        match error.span() {
-            Some(span) => InputError::at_line(&file, line_of_offset(text, span.start), message),
-            None => InputError::of_file(&file, message),
-        }
-    })?;
+    let raw: RunToml = toml::from_str(text).map_err(|error| InputError::of_toml(&file, text, &error))?;
 
     checker.require(&raw.format, |&format| format == 1, "format", "1, the only one there is")?;
     checker.name(&raw.name, "name")?;
@@ -133,14 +128,17 @@ pub(super) fn parse(folder: &Path, bytes: &[u8]) -> Result<Parsed, InputError> {
     Ok(Parsed { description, reference_cycle_line })
 }
 
-/// Checks values and blames their lines.
-struct Checker<'a> {
-    file: &'a Path,
-    text: &'a str,
+/// Checks the values of a TOML file and blames their lines.
+pub(crate) struct Checker<'a> {
+    /// The file, as errors name it.
+    pub(crate) file: &'a Path,
+    /// Its text.
+    pub(crate) text: &'a str,
 }
 
 impl Checker<'_> {
-    fn instrument(&self, raw: InstrumentToml) -> Result<Instrument, InputError> {
+    /// An `[instrument]`.
+    pub(crate) fn instrument(&self, raw: InstrumentToml) -> Result<Instrument, InputError> {
         self.name(&raw.name, "the instrument's name")?;
         self.place(&raw.position)?;
         let not_negative = |sigma: &f64| sigma.is_finite() && *sigma >= 0.0;
@@ -192,11 +190,13 @@ impl Checker<'_> {
         self.require(position, finite, "position", "three finite numbers in metres")
     }
 
-    fn name(&self, name: &Spanned<String>, what: &str) -> Result<(), InputError> {
+    /// Requires a name on one line.
+    pub(crate) fn name(&self, name: &Spanned<String>, what: &str) -> Result<(), InputError> {
         self.require(name, |name| is_usable_name(name), what, "a name on one line without spaces around it")
     }
 
-    fn require<T: std::fmt::Debug>(
+    /// Requires a value to be right; `expected` says what is.
+    pub(crate) fn require<T: std::fmt::Debug>(
         &self,
         value: &Spanned<T>,
         is_right: impl Fn(&T) -> bool,
@@ -206,11 +206,13 @@ impl Checker<'_> {
         if is_right(value.get_ref()) { Ok(()) } else { Err(self.unexpected(value, what, expected)) }
     }
 
-    fn unexpected<T: std::fmt::Debug>(&self, value: &Spanned<T>, what: &str, expected: &str) -> InputError {
+    /// What a value is, and what was expected.
+    pub(crate) fn unexpected<T: std::fmt::Debug>(&self, value: &Spanned<T>, what: &str, expected: &str) -> InputError {
         self.error(value, format!("{what} is {:?}; expected {expected}", value.get_ref()))
     }
 
-    fn error<T>(&self, value: &Spanned<T>, message: impl Into<String>) -> InputError {
+    /// An error at the line of a value.
+    pub(crate) fn error<T>(&self, value: &Spanned<T>, message: impl Into<String>) -> InputError {
         InputError::at_line(self.file, line_of_offset(self.text, value.span().start), message)
     }
 }

@@ -23,9 +23,11 @@ use crate::input::InputError;
 
 pub use crate::table::WriteError;
 pub use description::{Anchor, Instrument, RunDescription};
+pub(crate) use description::{Checker, InstrumentToml};
 pub use files::RunFiles;
 pub use motion::{MotionStep, Phase};
 pub use selection::{FoldError, Selection, SelectionError, folds_by_cycle, folds_by_pose};
+pub(crate) use temperatures::ABSOLUTE_ZERO_CELSIUS;
 pub use temperatures::{JoinOptions, Joined, SensorJoin, TemperatureLog, TemperatureSeries, TemperatureTable};
 
 /// One run, checked: every number is finite, every point belongs to a visit, every visit has the same joints.
@@ -85,6 +87,8 @@ pub struct Point {
     pub position: Vector3<f64>,
     /// How it was turned, in the world frame, for a target of six degrees of freedom.
     pub orientation: Option<UnitQuaternion<f64>>,
+    /// 1-sigma of one coordinate, m, as the spread of its own samples tells it.
+    pub sigma_m: Option<f64>,
 }
 
 /// One measured distance between a target and an anchor.

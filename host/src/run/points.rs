@@ -15,6 +15,7 @@ pub(super) const FILE: &str = "points.csv";
 
 const REQUIRED: [&str; 7] = ["time_s", "cycle", "pose", "target", "x_m", "y_m", "z_m"];
 const ORIENTATION: [&str; 4] = ["qw", "qx", "qy", "qz"];
+const SIGMA: &str = "sigma_m";
 
 /// How far a quaternion's norm may be from 1: three decimals, rounded, stay within it.
 const NORM_TOLERANCE: f64 = 2e-3;
@@ -68,11 +69,12 @@ pub(super) fn parse(
 ) -> Result<(), InputError> {
     let file = folder.join(FILE);
     let mut table = Table::open(&file, bytes, &REQUIRED)?;
-    table.note_form(|name| REQUIRED.contains(&name) || ORIENTATION.contains(&name), notes);
+    table.note_form(|name| REQUIRED.contains(&name) || ORIENTATION.contains(&name) || name == SIGMA, notes);
     let [time, cycle, pose] = [table.required("time_s")?, table.required("cycle")?, table.required("pose")?];
     let target_column = table.required("target")?;
     let position = [table.required("x_m")?, table.required("y_m")?, table.required("z_m")?];
     let orientation = orientation_columns(&table)?;
+    let sigma = table.column(SIGMA);
 
     let mut broken = 0_usize;
     let mut rows: Vec<((usize, usize), usize)> = Vec::new();
@@ -91,6 +93,7 @@ pub(super) fn parse(
             target,
             position: Vector3::new(coordinate(position[0])?, coordinate(position[1])?, coordinate(position[2])?),
             orientation: parse_orientation(&row, &orientation)?,
+            sigma_m: parse_sigma(&row, sigma)?,
         };
         rows.push(((visit, target), row.offset));
         visits.visits[visit].points.push(point);
@@ -134,6 +137,15 @@ fn parse_orientation(row: &Row<'_>, columns: &[usize]) -> Result<Option<UnitQuat
         Ok(Some(UnitQuaternion::from_quaternion(quaternion)))
     } else {
         Err(row.error(format!("qw, qx, qy, qz have the norm {:.4}; expected a unit quaternion", quaternion.norm())))
+    }
+}
+
+fn parse_sigma(row: &Row<'_>, column: Option<usize>) -> Result<Option<f64>, InputError> {
+    let Some(column) = column else { return Ok(None) };
+    let expected = "metres, not negative (empty where it is not known)";
+    match row.optional_number(column, expected)? {
+        Some(sigma) if sigma < 0.0 => Err(row.unexpected(column, expected)),
+        sigma => Ok(sigma),
     }
 }
 
@@ -190,10 +202,15 @@ pub(super) fn format(run: &Run, folder: &Path) -> Result<Option<Vec<u8>>, WriteE
     if only_distances {
         return Ok(None);
     }
-    let has_orientation = run.visits.iter().flat_map(|visit| &visit.points).any(|point| point.orientation.is_some());
+    let has = |what: fn(&Point) -> bool| run.visits.iter().flat_map(|visit| &visit.points).any(what);
+    let has_orientation = has(|point| point.orientation.is_some());
+    let has_sigma = has(|point| point.sigma_m.is_some());
     let mut header: Vec<String> = REQUIRED.map(str::to_owned).into();
     if has_orientation {
         header.extend(ORIENTATION.map(str::to_owned));
+    }
+    if has_sigma {
+        header.push(SIGMA.to_owned());
     }
     let mut table = TableWriter::new(folder.join(FILE), &header)?;
     for visit in &run.visits {
@@ -210,6 +227,10 @@ pub(super) fn format(run: &Run, folder: &Path) -> Result<Option<Vec<u8>>, WriteE
             if has_orientation {
                 let parts = point.and_then(|point| point.orientation).map(|turn| [turn.w, turn.i, turn.j, turn.k]);
                 table.optional_numbers(parts.as_ref().map(<[f64; 4]>::as_slice), 4)?;
+            }
+            if has_sigma {
+                let sigma = point.and_then(|point| point.sigma_m);
+                table.optional_numbers(sigma.as_ref().map(std::slice::from_ref), 1)?;
             }
             table.end_row()?;
         }

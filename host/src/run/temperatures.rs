@@ -18,7 +18,8 @@ const SHORTEST_MAX_GAP_S: f64 = 120.0;
 /// How many periods of a sensor may pass before its readings have a gap.
 const MAX_GAP_PERIODS: f64 = 5.0;
 
-const ABSOLUTE_ZERO_CELSIUS: f64 = -273.15;
+/// °C.
+pub(crate) const ABSOLUTE_ZERO_CELSIUS: f64 = -273.15;
 
 /// The readings of all sensors of a run.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -141,7 +141,13 @@ fn what_could_not_be_read_back_is_not_written() {
             run.visits[0].broken_beams.push(BrokenBeam { time_s: 0.0, target: 0, anchor: None });
         }),
         ("has no name", |run| {
-            run.visits[0].points.push(Point { time_s: 0.0, target: 2, position: Vector3::zeros(), orientation: None });
+            run.visits[0].points.push(Point {
+                time_s: 0.0,
+                target: 2,
+                position: Vector3::zeros(),
+                orientation: None,
+                sigma_m: None,
+            });
         }),
         ("expected metres, not negative", |run| run.description.instrument.sigma_m = -1.0),
     ];

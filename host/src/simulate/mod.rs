@@ -188,7 +188,9 @@ pub fn simulate(scenario: &Scenario) -> Result<Simulated, SimulationError> {
             let flange = arm.flange(&joints, &warmth.nodes.at(time_s), adjustment);
             let seen = adjustment.seen(&flange.point(&(place + adjustment.targets[target])), &station);
             match measuring.measure(&seen) {
-                Some(position) => visit.points.push(Point { time_s, target, position, orientation: None }),
+                Some(position) => {
+                    visit.points.push(Point { time_s, target, position, orientation: None, sigma_m: None })
+                }
                 None => visit.broken_beams.push(BrokenBeam { time_s, target, anchor: None }),
             }
         }

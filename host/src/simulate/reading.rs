@@ -376,11 +376,7 @@ impl Scenario {
     /// what is wrong with the robot's own file.
     pub fn parse(file: &Path, text: &str) -> Result<Self, InputError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let complain = |error: toml::de::Error| {
-            let line = error.span().map(|span| line_of_offset(text, span.start));
-            let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-            InputError { file: file.to_owned(), line, message }
-        };
+        let complain = |error: toml::de::Error| InputError::of_toml(file, text, &error);
         let content = DeTable::parse(text).map_err(complain)?;
         let read: ScenarioFile = toml::from_str(text).map_err(complain)?;
         let checker = Checker { file, text, content };

@@ -7,7 +7,7 @@ mod writer;
 use std::io;
 use std::path::PathBuf;
 
-pub(crate) use reader::{Row, Table, is_usable_name, numbered_suffix};
+pub(crate) use reader::{Layout, Row, Table, is_usable_name, numbered_suffix};
 pub(crate) use writer::TableWriter;
 
 /// Why a table, or a folder of them, was not written.

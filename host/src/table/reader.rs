@@ -1,6 +1,6 @@
 //! Delimited text with a header, read: columns found by name, cells as numbers or names, each fault with its line.
 
-use std::cell::Cell;
+use std::cell::{Cell, OnceCell};
 use std::path::Path;
 
 use csv::ByteRecord;
@@ -17,6 +17,17 @@ pub(crate) struct Table<'a> {
     record: ByteRecord,
 }
 
+/// How a table is laid out, where its header is not to say so.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Layout {
+    /// What stands between the columns; absent: what splits the header best.
+    pub(crate) separator: Option<u8>,
+    /// There is no header: the columns are called 1, 2, and so on.
+    pub(crate) headless: bool,
+    /// Columns that nobody asks for may be called as they like, twice the same as well.
+    pub(crate) foreign: bool,
+}
+
 /// What stays the same from row to row.
 struct Head<'a> {
     file: &'a Path,
@@ -26,6 +37,8 @@ struct Head<'a> {
     header_offset: usize,
     point_offset: Cell<Option<usize>>,
     comma_offset: Cell<Option<usize>>,
+    /// Where lines end, found when the first line is asked for.
+    line_ends: OnceCell<Vec<usize>>,
 }
 
 /// One row of a table.
@@ -42,13 +55,27 @@ impl<'a> Table<'a> {
     /// # Errors
     /// No header, a column twice, or required columns missing, which are named.
     pub(crate) fn open(file: &'a Path, bytes: &'a [u8], required: &[&str]) -> Result<Self, InputError> {
+        Self::open_as(file, bytes, Layout::default(), required)
+    }
+
+    /// Opens a table of another layout.
+    ///
+    /// # Errors
+    /// As [`Table::open`].
+    pub(crate) fn open_as(
+        file: &'a Path,
+        bytes: &'a [u8],
+        layout: Layout,
+        required: &[&str],
+    ) -> Result<Self, InputError> {
         if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
             return Err(InputError::at_line(file, 1, "is UTF-16 text; expected UTF-8 (save it as \"CSV UTF-8\")"));
         }
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let separator = separator_of(bytes, required);
-        let reader =
-            csv::ReaderBuilder::new().has_headers(false).flexible(true).delimiter(separator).from_reader(bytes);
+        let separator = layout.separator.unwrap_or_else(|| separator_of(bytes, required));
+        let mut builder = csv::ReaderBuilder::new();
+        builder.has_headers(false).flexible(true).delimiter(separator);
+        let reader = builder.from_reader(bytes);
         let head = Head {
             file,
             bytes,
@@ -57,26 +84,34 @@ impl<'a> Table<'a> {
             header_offset: 0,
             point_offset: Cell::new(None),
             comma_offset: Cell::new(None),
+            line_ends: OnceCell::new(),
         };
         let mut table = Self { head, reader, record: ByteRecord::new() };
         let Some(header_offset) = table.advance()? else {
-            return Err(InputError::at_line(
-                file,
-                1,
-                format!("is empty; expected a header with the columns {}", required.join(", ")),
-            ));
+            let expected = match layout.headless {
+                true => "rows".to_owned(),
+                false => format!("a header with the columns {}", required.join(", ")),
+            };
+            return Err(InputError::at_line(file, 1, format!("is empty; expected {expected}")));
         };
         table.head.header_offset = header_offset;
-        table.head.names = table.record.iter().map(|cell| quoted_text(cell.trim_ascii())).collect();
-        table.check_header(required)?;
+        if layout.headless {
+            table.head.names = (1..=table.record.len()).map(|number| number.to_string()).collect();
+            // What was taken for a header is the first row.
+            table.reader = builder.from_reader(bytes);
+        } else {
+            table.head.names = table.record.iter().map(|cell| quoted_text(cell.trim_ascii())).collect();
+        }
+        table.check_header(required, layout.foreign)?;
         Ok(table)
     }
 
-    fn check_header(&self, required: &[&str]) -> Result<(), InputError> {
+    fn check_header(&self, required: &[&str], foreign: bool) -> Result<(), InputError> {
         let names = &self.head.names;
         let mut sorted: Vec<&str> = names.iter().map(String::as_str).filter(|name| !name.is_empty()).collect();
         sorted.sort_unstable();
-        if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+        let matters = |name: &str| !foreign || required.contains(&name);
+        if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1] && matters(pair[0])) {
             return Err(self.header_error(format!("the column {} stands twice; expected it once", pair[0])));
         }
         let missing: Vec<&str> = required.iter().copied().filter(|name| self.column(name).is_none()).collect();
@@ -95,6 +130,11 @@ impl<'a> Table<'a> {
     /// The index of a column.
     pub(crate) fn column(&self, name: &str) -> Option<usize> {
         self.head.names.iter().position(|known| known == name)
+    }
+
+    /// How many columns there are.
+    pub(crate) fn width(&self) -> usize {
+        self.head.names.len()
     }
 
     /// The index of a column that [`Table::open`] was told to require.
@@ -214,18 +254,27 @@ impl Head<'_> {
     /// those are skipped first. A lone carriage return ends a line too.
     fn line_at(&self, offset: usize) -> usize {
         let skipped = self.bytes[offset..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
-        let before = &self.bytes[..offset + skipped];
-        let ends = before
-            .iter()
-            .enumerate()
-            .filter(|&(index, &byte)| byte == b'\n' || (byte == b'\r' && self.bytes.get(index + 1) != Some(&b'\n')));
-        1 + ends.count()
+        let is_end = |index: &usize| {
+            self.bytes[*index] == b'\n' || (self.bytes[*index] == b'\r' && self.bytes.get(index + 1) != Some(&b'\n'))
+        };
+        let ends = self.line_ends.get_or_init(|| (0..self.bytes.len()).filter(is_end).collect());
+        1 + ends.partition_point(|&end| end < offset + skipped)
     }
 }
 
 impl Row<'_> {
+    /// The row's line, counted from 1.
+    pub(crate) fn line(&self) -> usize {
+        self.head.line_at(self.offset)
+    }
+
     fn cell(&self, column: usize) -> &[u8] {
         self.record.get(column).unwrap_or_default().trim_ascii()
+    }
+
+    /// A cell as text, without the spaces around it; bytes that are no UTF-8 are shown as �.
+    pub(crate) fn text(&self, column: usize) -> std::borrow::Cow<'_, str> {
+        String::from_utf8_lossy(self.cell(column))
     }
 
     /// Whether a cell is empty.

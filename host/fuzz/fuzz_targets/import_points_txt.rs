@@ -1,0 +1,7 @@
+//! An import's points.txt as any bytes.
+#![no_main]
+
+#[path = "../property.rs"]
+mod property;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| property::holds("import/points.txt", bytes));
