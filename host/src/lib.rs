@@ -12,6 +12,7 @@ pub mod input;
 pub mod live;
 pub mod logger;
 pub mod model;
+pub mod plan;
 pub mod report;
 pub mod robot;
 pub mod run;

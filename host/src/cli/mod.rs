@@ -12,6 +12,7 @@ mod import;
 mod log;
 mod method_table;
 mod output;
+mod plan;
 mod progress;
 mod report;
 mod robot;
@@ -43,6 +44,7 @@ enum Command {
     Validate(validate::Arguments),
     Discover(discover::Arguments),
     Compensate(compensate::Arguments),
+    Plan(plan::Arguments),
     Report(report::Arguments),
     Export(export::Arguments),
     Robot(robot::Arguments),
@@ -84,6 +86,7 @@ pub fn main() -> ExitCode {
         Command::Validate(arguments) => validate::run(arguments),
         Command::Discover(arguments) => discover::run(arguments),
         Command::Compensate(arguments) => compensate::run(arguments),
+        Command::Plan(arguments) => plan::run(arguments),
         Command::Report(arguments) => report::run(arguments),
         Command::Export(arguments) => export::run(arguments),
         Command::Robot(arguments) => robot::run(arguments),

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use super::chain::Posture;
 use super::description::{JointKind, Robot};
-use super::frame::Frame;
+use super::frame::{Frame, centre_lines};
 
 /// A view: where x and y of the paper lie in the world.
 struct View {
@@ -25,19 +25,10 @@ const PANEL: f64 = 260.0;
 const MARGIN: f64 = 34.0;
 const IN_A_ROW: usize = 3;
 
-/// The points of the arm from the base to the flange, with the corner that each transform's shift along its axis makes.
+/// The arm's centre lines with joints at given positions, and the frames along them.
 fn points(robot: &Robot, joints: &[f64]) -> (Vec<Vector3<f64>>, Vec<Frame>) {
-    let prepared = robot.chain().prepare(&robot.nominal());
-    let frames = prepared.frames(&Posture::new(joints));
-    let mut points = Vec::new();
-    for pair in frames.windows(2) {
-        let (before, after) = (&pair[0], &pair[1]);
-        let along = before.local(&after.origin).z;
-        points.push(before.origin);
-        points.push(before.point(&Vector3::new(0.0, 0.0, along)));
-    }
-    points.extend(frames.last().map(|frame| frame.origin));
-    (points, frames)
+    let frames = robot.chain().prepare(&robot.nominal()).frames(&Posture::new(joints));
+    (centre_lines(&frames), frames)
 }
 
 /// The drawing of a robot as it is described, its first transform left out: the base stands upright.

@@ -75,3 +75,17 @@ impl Frame {
         UnitQuaternion::from_matrix(&self.rotation)
     }
 }
+
+/// The points of an arm from the base to the flange, with the corner that each transform's shift along its axis makes: from
+/// the frames after each transform, two points a transform after the first and the flange's origin.
+pub fn centre_lines(frames: &[Frame]) -> Vec<Vector3<f64>> {
+    let mut points = Vec::with_capacity(2 * frames.len());
+    for pair in frames.windows(2) {
+        let (before, after) = (&pair[0], &pair[1]);
+        let along = before.local(&after.origin).z;
+        points.push(before.origin);
+        points.push(before.point(&Vector3::new(0.0, 0.0, along)));
+    }
+    points.extend(frames.last().map(|frame| frame.origin));
+    points
+}

@@ -21,7 +21,7 @@ pub use convention::{Convention, Symbol};
 pub use description::{Body, Joint, JointKind, Robot, Sensor, Target, ThermalChoice, Transform};
 pub use dh_rows::{DhOrder, from_dh_rows};
 pub use drawing::drawing;
-pub use frame::Frame;
+pub use frame::{Frame, centre_lines};
 pub use gravity::{Payload, gravity_torques};
 pub use parameter::ParameterId;
 pub use parametrise::{Axes, Between, NearlyParallel, frame_of, parametrise};

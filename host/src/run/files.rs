@@ -61,7 +61,7 @@ impl RunFiles {
         let mut notes = Vec::new();
         let parsed = description::parse(folder, &self.run)?;
         let description = parsed.description;
-        let mut visits = poses::parse(folder, &self.poses, &mut notes)?;
+        let mut visits = poses::parse(&folder.join(poses::FILE), &self.poses, &mut notes)?;
         if !visits.visits.iter().any(|visit| visit.cycle == description.reference_cycle) {
             return Err(InputError::at_line(
                 &folder.join(description::FILE),

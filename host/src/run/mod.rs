@@ -26,6 +26,7 @@ pub use description::{Anchor, Instrument, RunDescription};
 pub(crate) use description::{Checker, InstrumentToml};
 pub use files::RunFiles;
 pub use motion::{MotionStep, Phase};
+pub use poses::{format_postures, read_postures};
 pub use selection::{FoldError, Selection, SelectionError, folds_by_cycle, folds_by_pose};
 pub(crate) use temperatures::ABSOLUTE_ZERO_CELSIUS;
 pub use temperatures::{JoinOptions, Joined, SensorJoin, TemperatureLog, TemperatureSeries, TemperatureTable};

@@ -20,10 +20,9 @@ pub(super) struct Visits {
     pub(super) index: HashMap<(u32, u32), usize>,
 }
 
-/// Reads poses.csv.
-pub(super) fn parse(folder: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Visits, InputError> {
-    let file = folder.join(FILE);
-    let mut table = Table::open(&file, bytes, &REQUIRED)?;
+/// Reads poses.csv, whatever `file` is called.
+pub(super) fn parse(file: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Result<Visits, InputError> {
+    let mut table = Table::open(file, bytes, &REQUIRED)?;
     table.note_form(is_known, notes);
     let [time, cycle, pose] = [table.required("time_s")?, table.required("cycle")?, table.required("pose")?];
     let joints = table.numbered("q")?;
@@ -69,6 +68,36 @@ pub(super) fn parse(folder: &Path, bytes: &[u8], notes: &mut Vec<String>) -> Res
     note_gaps(&visits, notes);
     let index = visits.iter().enumerate().map(|(index, visit)| ((visit.cycle, visit.pose), index)).collect();
     Ok(Visits { visits, index })
+}
+
+/// The postures of a table in the form of poses.csv: the visits of its first cycle in the order of their times, rad or m.
+///
+/// # Errors
+/// A file that cannot be read, or is no such table.
+pub fn read_postures(file: &Path) -> Result<Vec<Vec<f64>>, InputError> {
+    let bytes = std::fs::read(file).map_err(|error| InputError::of_file(file, format!("cannot be read: {error}")))?;
+    let Visits { visits, .. } = parse(file, &bytes, &mut Vec::new())?;
+    let first = visits.iter().map(|visit| visit.cycle).min();
+    Ok(visits.into_iter().filter(|visit| Some(visit.cycle) == first).map(|visit| visit.joints).collect())
+}
+
+/// A table in the form of poses.csv: one visit of each posture in cycle 0, a second apart.
+///
+/// # Errors
+/// Postures that are no finite numbers.
+pub fn format_postures(postures: &[Vec<f64>]) -> Result<Vec<u8>, WriteError> {
+    let joints = postures.first().map_or(0, Vec::len);
+    let mut header: Vec<String> = ["time_s", "cycle", "pose"].map(str::to_owned).into();
+    header.extend((1..=joints).map(|joint| format!("q{joint}")));
+    let mut table = TableWriter::new(FILE.into(), &header)?;
+    for (pose, posture) in postures.iter().enumerate() {
+        table.number(pose as f64)?;
+        table.whole(0);
+        table.whole(pose as i64);
+        table.numbers(posture)?;
+        table.end_row()?;
+    }
+    table.finish()
 }
 
 fn is_known(name: &str) -> bool {

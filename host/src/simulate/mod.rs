@@ -19,7 +19,7 @@ mod arm;
 mod heat;
 mod hidden;
 mod posture;
-mod random;
+pub(crate) mod random;
 mod reading;
 mod scenario;
 mod sensors;

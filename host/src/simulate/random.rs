@@ -6,7 +6,7 @@ use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
 
 /// What a stream of random numbers is for; its number must never change.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Purpose {
+pub(crate) enum Purpose {
     Parameters = 1,
     Targets = 2,
     Transmission = 3,
@@ -17,17 +17,21 @@ pub(super) enum Purpose {
     Instrument = 8,
     Beams = 9,
     Readings = 10,
+    PlannedPoses = 11,
+    JudgedPoses = 12,
+    Refinement = 13,
+    Starts = 14,
 }
 
 /// A stream of random numbers.
-pub(super) struct Stream {
+pub(crate) struct Stream {
     source: ChaCha8Rng,
     /// The second deviate of a pair that was drawn.
     kept: Option<f64>,
 }
 
 impl Stream {
-    pub(super) fn new(seed: u64, purpose: Purpose) -> Self {
+    pub(crate) fn new(seed: u64, purpose: Purpose) -> Self {
         let mut key = [0; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
         let mut source = ChaCha8Rng::from_seed(key);
@@ -36,18 +40,18 @@ impl Stream {
     }
 
     /// Uniform in [0, 1), in steps of 2⁻⁵³.
-    pub(super) fn uniform(&mut self) -> f64 {
+    pub(crate) fn uniform(&mut self) -> f64 {
         const STEP: f64 = 1.0 / (1_u64 << 53) as f64;
         (self.source.next_u64() >> 11) as f64 * STEP
     }
 
     /// Uniform between two bounds.
-    pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
     /// Normal of mean 0 and deviation 1, by Marsaglia's polar method.
-    pub(super) fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         if let Some(kept) = self.kept.take() {
             return kept;
         }

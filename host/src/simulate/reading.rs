@@ -10,6 +10,7 @@ use super::hidden::HiddenEffect;
 use super::scenario::{Arm, DrawnPostures, Growth, Heat, Noise, Postures, Scenario, Schedule, Sensors, Tracker};
 use crate::input::{InputError, line_of_offset};
 use crate::robot::{ParameterId, Robot, shipped};
+use crate::run::read_postures;
 
 /// The scenarios that ship with thermokin: name and text.
 pub const SHIPPED_SCENARIOS: [(&str, &str); 3] = [
@@ -206,6 +207,11 @@ impl Checker<'_> {
         }
         for (number, phase) in schedule.phases.iter().enumerate() {
             self.share(way!["schedule", "phases", number, "override"], phase.speed_override)?;
+            for (place, &joint) in phase.joints.iter().flatten().enumerate() {
+                let expected = format!("a joint from 1 to {}", robot.joint_count());
+                let known = (1..=robot.joint_count()).contains(&joint);
+                self.require(way!["schedule", "phases", number, "joints", place], joint as f64, known, &expected)?;
+            }
         }
         let longest = schedule.longest_measurement_s(postures, robot.targets.len());
         if schedule.cycle_s[0] <= longest + schedule.pause_s {
@@ -222,6 +228,10 @@ impl Checker<'_> {
     fn postures(&self, postures: &Postures, robot: &Robot) -> Result<usize, InputError> {
         let joints = robot.joint_count();
         match (&postures.joints, &postures.drawn) {
+            _ if postures.file.is_some() => {
+                Err(self
+                    .error(way!["postures"], "expected one of joints = [[…], …], file = \"…\" and [postures.drawn]"))
+            }
             (Some(given), None) => {
                 if given.is_empty() {
                     return Err(self.error(way!["postures", "joints"], "no posture, expected at least one"));
@@ -235,7 +245,10 @@ impl Checker<'_> {
                 self.drawn(drawn, joints)?;
                 Ok(drawn.count)
             }
-            _ => Err(self.error(way!["postures"], "expected either joints = [[…], …] or [postures.drawn]")),
+            _ => {
+                Err(self
+                    .error(way!["postures"], "expected one of joints = [[…], …], file = \"…\" and [postures.drawn]"))
+            }
         }
     }
 
@@ -398,6 +411,16 @@ impl Scenario {
             }
         };
         checker.arm(&read.arm, &robot)?;
+        let mut read = read;
+        if let Postures { joints: None, file: Some(named), drawn: None } = &read.postures {
+            let table = file.parent().unwrap_or(Path::new("")).join(named);
+            let rows = read_postures(&table)?;
+            if let Some(row) = rows.iter().find(|row| row.len() != robot.joint_count()) {
+                let message = format!("has {} joints, expected the arm's {}", row.len(), robot.joint_count());
+                return Err(InputError::at_line(&table, 1, message));
+            }
+            read.postures = Postures { joints: Some(rows), file: None, drawn: None };
+        }
         let postures = checker.postures(&read.postures, &robot)?;
         checker.schedule(&read.schedule, &robot, postures)?;
         checker.heat(&read.heat, &robot)?;

@@ -3,6 +3,7 @@
 //! The types mirror the file (`host/docs/scenario.md`); [`super::reading`] checks it. SI units, radians, °C.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use serde::Deserialize;
 
@@ -101,7 +102,7 @@ pub struct Schedule {
 }
 
 /// One stretch of cycles at one speed.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DrivePhase {
     /// Speed override of the exercise, 0 to 1.
@@ -109,6 +110,8 @@ pub struct DrivePhase {
     pub speed_override: f64,
     /// How many cycles.
     pub cycles: u32,
+    /// The joints that move in the exercise, counted from 1; absent: all.
+    pub joints: Option<Vec<usize>>,
 }
 
 /// The postures that are measured, the same in every cycle.
@@ -117,6 +120,8 @@ pub struct DrivePhase {
 pub struct Postures {
     /// Joint positions of each posture, rad or m; absent: drawn.
     pub joints: Option<Vec<Vec<f64>>>,
+    /// A table of them in the form of a run's poses.csv, relative to the scenario; reading puts its rows into `joints`.
+    pub file: Option<PathBuf>,
     /// How they are drawn.
     pub drawn: Option<DrawnPostures>,
 }

@@ -31,7 +31,7 @@ pub(super) struct Timetable {
 
 impl Schedule {
     /// The longest time that the measurement of a cycle may take, s.
-    pub(super) fn longest_measurement_s(&self, postures: usize, targets: usize) -> f64 {
+    pub(crate) fn longest_measurement_s(&self, postures: usize, targets: usize) -> f64 {
         postures as f64 * (self.transit_s[1] + self.settle_s + targets as f64 * self.target_s)
     }
 }
@@ -55,8 +55,10 @@ pub(super) fn timetable(scenario: &Scenario, postures: usize) -> Timetable {
         });
     }
     now = measure(scenario, 0, now, postures, &mut stream, &mut table);
-    let drives = schedule.phases.iter().flat_map(|phase| (0..phase.cycles).map(|_| phase.speed_override));
-    for (cycle, speed_override) in (1..).zip(drives) {
+    let drives = schedule.phases.iter().flat_map(|phase| (0..phase.cycles).map(move |_| phase));
+    for (cycle, phase) in (1..).zip(drives) {
+        let speed_override = phase.speed_override;
+        let moves = |joint: usize| phase.joints.as_ref().is_none_or(|moving| moving.contains(&(joint + 1)));
         // The measurement is drawn ahead of the movement, for the cycle as a whole has a given time.
         let mut measured = Timetable::default();
         let length = stream.between(schedule.cycle_s[0], schedule.cycle_s[1]);
@@ -65,7 +67,12 @@ pub(super) fn timetable(scenario: &Scenario, postures: usize) -> Timetable {
         let rms = schedule
             .rms_speed
             .iter()
-            .map(|speed| speed * speed_override * (1.0 + schedule.speed_spread * stream.normal()).max(0.0))
+            .enumerate()
+            .map(|(joint, speed)| {
+                // Drawn for every joint, so that which joints move changes nothing else of a run.
+                let spread = (1.0 + schedule.speed_spread * stream.normal()).max(0.0);
+                if moves(joint) { speed * speed_override * spread } else { 0.0 }
+            })
             .map(|speed| libm::round(speed * 1e5) / 1e5)
             .collect();
         table.steps.push(MotionStep { start_s: now, end_s: moved, cycle, phase: Phase::Move, speed_override, rms });
