@@ -535,7 +535,7 @@ fn bad_input_is_refused_in_one_line() {
         (&tx90, &["--joint", "1=1:0"], "--joint 1=1:0: expected a joint"),
         (&tx90, &["--volume", "0:1,0:1"], "--volume 0:1,0:1: expected three ranges"),
         (&tx90, &["--tracker", "a,b,c"], "--tracker a,b,c: expected three numbers"),
-        (&tx90, &["--sigma", "-1"], "--sigma"),
+        (&tx90, &["--sigma=-1"], "--sigma -1: expected a number from 0"),
         (&tx90, &["--facing", "0"], "--facing 0: expected degrees"),
         (&tx90, &["--fix", "beta9"], "--fix beta9: the chain has no such parameter"),
         (&tx90, &["--volume", "50:51,50:51,50:51"], "0 of 10 postures found"),
@@ -545,7 +545,7 @@ fn bad_input_is_refused_in_one_line() {
             "3 poses do not tell",
         ),
         (&["plan", "schedule", "small", "--hours", "0.1"], &[], "expected 4 cycles or more"),
-        (&["plan", "schedule", "small", "--hours", "-1"], &[], "--hours -1"),
+        (&["plan", "schedule", "small", "--hours=-1"], &[], "--hours -1: expected"),
         (&["plan", "schedule", "small", "--hours", "2", "--overrides", "0.5"], &[], "two different overrides"),
         (
             &["plan", "schedule", "small", "--hours", "2", "--poses", "five.csv"],

@@ -20,6 +20,7 @@ mod solve;
 mod strata;
 pub mod thermal;
 mod unknown;
+mod upkeep;
 mod validation;
 
 pub use align::{align, base_unknowns, target_unknowns};
@@ -38,5 +39,6 @@ pub use robust::Loss;
 pub use solve::{Solution, Stop, Stopping, solve, solve_from};
 pub use strata::{WeighedGrowth, weighed_growth};
 pub use unknown::{GrowthTerm, Names, State, Unknown, keep_order};
+pub use upkeep::{Drift, Innovation, Upkeep};
 pub(crate) use validation::growth_and_scene;
 pub use validation::{Group, LEVELS, Refit, Trial, Validation, validate};

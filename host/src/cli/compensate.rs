@@ -10,6 +10,8 @@ use serde_json::json;
 use super::Failure;
 use super::conditions::{LevelName, Temperatures};
 use super::output::JsonOption;
+use super::upkeep::keep;
+use crate::calibrate::Drift;
 use crate::compensate::batch::{self, BatchError, Outcome, Setting, Task};
 use crate::compensate::live::{Listening, Server, Source};
 use crate::compensate::{Arm, Conditions};
@@ -23,6 +25,7 @@ Examples:
   thermokin compensate model.json --correct path.csv --temperatures run/temperatures.csv --out corrected.csv
   thermokin compensate model.json --inverse poses.csv --all
   thermokin compensate model.json --live 127.0.0.1:7117 --store thermokin-log
+  thermokin compensate model.json --checks checks-2026 --out model-now.json
 
 host/docs/compensate.md says what the tables hold and what is asked and answered live.";
 
@@ -49,6 +52,15 @@ pub struct Arguments {
     #[cfg(unix)]
     #[arg(long, value_name = "PATH", group = "task")]
     live_unix: Option<PathBuf>,
+    /// Refine the model by occasional checks of single targets: a run folder of them; --out is the refined model
+    #[arg(long, value_name = "RUN", group = "task", requires = "out")]
+    checks: Option<PathBuf>,
+    /// With --checks: 1-sigma by which thermal coefficients drift in a year, as a share of themselves
+    #[arg(long, value_name = "SHARE", default_value_t = 0.14, requires = "checks")]
+    drift: f64,
+    /// With --checks: error of a position that stays with a posture, 1-sigma of a coordinate, mm
+    #[arg(long, value_name = "MM", default_value_t = 0.2, requires = "checks")]
+    posture_error: f64,
     /// The solutions of all branches, a row each
     #[arg(long, requires = "inverse")]
     all: bool,
@@ -82,6 +94,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let level = arguments.level.level();
     if let Some(listening) = arguments.listening() {
         return live(arguments, &model, level, &listening);
+    }
+    if let (Some(checks), Some(out)) = (&arguments.checks, &arguments.out) {
+        return keep(&model, checks, out, arguments.drift()?, &arguments.json);
     }
     let arm = Arm::new(&model, level);
     for note in arm.notes() {
@@ -144,6 +159,20 @@ impl Arguments {
         self.live.map(Listening::Tcp)
     }
 
+    fn drift(&self) -> Result<Drift, Failure> {
+        for (name, value) in [("drift", self.drift), ("posture-error", self.posture_error)] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Failure::Usage(format!("--{name} {value}: expected a number from 0")));
+            }
+        }
+        const DAYS: f64 = 365.0;
+        Ok(Drift {
+            coefficient_share: self.drift / DAYS.sqrt(),
+            posture_m: self.posture_error * 1e-3,
+            ..Drift::default()
+        })
+    }
+
     fn task(&self) -> Result<(Task, &Path), Failure> {
         let tasks = [
             (Task::Forward, &self.forward),
@@ -151,7 +180,7 @@ impl Arguments {
             (Task::Inverse { all: self.all }, &self.inverse),
         ];
         let given = tasks.into_iter().find_map(|(task, file)| Some((task, file.as_deref()?)));
-        given.ok_or_else(|| Failure::Usage("expected --forward, --correct, --inverse or --live".to_owned()))
+        given.ok_or_else(|| Failure::Usage("expected --forward, --correct, --inverse, --checks or --live".to_owned()))
     }
 
     fn setting(&self, arm: &Arm) -> Result<Setting, Failure> {

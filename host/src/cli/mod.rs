@@ -17,6 +17,7 @@ mod progress;
 mod report;
 mod robot;
 mod simulate;
+mod upkeep;
 mod validate;
 mod words;
 

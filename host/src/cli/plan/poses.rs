@@ -31,6 +31,7 @@ enum IndexName {
 
 /// The poses that identify an arm best, within limits and volume and seen by the tracker
 #[derive(Debug, Args)]
+#[group(id = "poses")]
 pub struct Arguments {
     /// A robot.toml, the name of a shipped arm, or a model.json
     robot: PathBuf,
