@@ -66,7 +66,7 @@ fn thermokin(folder: &Path, arguments: &[&str]) -> Output {
 fn an_exchange_never_lowers_the_index() {
     let space = space();
     let setup = setup(comau(), Vec::new());
-    let pool = space.draw(&setup, 120, 120, 3).expect("room enough");
+    let pool = space.draw(&setup, &[], 120, 120, 3).expect("room enough");
     let telling = Telling::new(setup.clone(), &pool);
     let rows = telling.rows(&pool);
     // Known targets: a pose holds six rows, however many targets there are.
@@ -96,7 +96,7 @@ fn where_all_sets_can_be_tried_the_best_is_found() {
     let fixed =
         (0..chain.parameters().len()).filter(|&place| !free.contains(&chain.parameters()[place].to_string().as_str()));
     let setup = setup(robot.clone(), fixed.collect());
-    let pool = space().draw(&setup, 14, 14, 5).expect("room enough");
+    let pool = space().draw(&setup, &[], 14, 14, 5).expect("room enough");
     for criterion in CRITERIA {
         let planner = Planner::new(setup.clone(), pool.clone(), &pool, criterion).expect("tells");
         assert_eq!(planner.telling().unknowns().len(), free.len());
@@ -152,7 +152,7 @@ fn planned_poses_beat_random_ones_and_a_grid_as_predicted_and_in_simulated_calib
     let mut dice = Dice::new("planned poses beat random ones");
     let space = space();
     let setup = setup(comau(), Vec::new());
-    let pool = space.draw(&setup, 300, 300, 3).expect("room enough");
+    let pool = space.draw(&setup, &[], 300, 300, 3).expect("room enough");
     let judged = space.draw_judges(&setup, 60, 9).expect("room enough");
     let planner = Planner::new(setup.clone(), pool.clone(), &judged, Criterion::D).expect("tells");
     let planned = planner.plan(15, Some(&space), 1).expect("a plan");
@@ -217,7 +217,7 @@ fn planned_poses_beat_random_ones_and_a_grid_as_predicted_and_in_simulated_calib
 fn no_planned_pose_leaves_limits_volume_or_sight() {
     let space = space();
     let setup = setup(comau(), Vec::new());
-    let pool = space.draw(&setup, 200, 200, 11).expect("room enough");
+    let pool = space.draw(&setup, &[], 200, 200, 11).expect("room enough");
     let judged = space.draw_judges(&setup, 10, 11).expect("room enough");
     let planner = Planner::new(setup.clone(), pool.clone(), &judged, Criterion::V).expect("tells");
     let planned = planner.plan(12, Some(&space), 4).expect("a plan");
@@ -245,7 +245,7 @@ fn no_planned_pose_leaves_limits_volume_or_sight() {
     let admitted = pool.iter().filter(|joints| narrow.admits(&arm, targets, joints).is_ok()).count();
     assert!(admitted < pool.len());
     narrow.volume = Some([[50.0, 51.0]; 3]);
-    let error = narrow.draw(&setup, 5, 5, 1).expect_err("nothing is there");
+    let error = narrow.draw(&setup, &[], 5, 5, 1).expect_err("nothing is there");
     assert_eq!((error.found, error.outside), (0, error.drawn));
 }
 
@@ -253,7 +253,7 @@ fn no_planned_pose_leaves_limits_volume_or_sight() {
 fn too_few_poses_are_refused_with_how_many_would_do() {
     let space = space();
     let setup = setup(comau(), Vec::new());
-    let pool = space.draw(&setup, 40, 40, 3).expect("room enough");
+    let pool = space.draw(&setup, &[], 40, 40, 3).expect("room enough");
     let planner = Planner::new(setup, pool.clone(), &pool, Criterion::D).expect("tells");
     let error = planner.plan(4, None, 1).expect_err("24 rows of 30 unknowns");
     assert_eq!(error, PlanError::TooFew { count: 4, unknowns: 30, least: 5 });

@@ -6,7 +6,9 @@ mod schedule;
 mod sensors;
 mod write;
 
-use clap::{Args, Subcommand};
+use std::ffi::OsString;
+
+use clap::{Args, Parser, Subcommand};
 
 use super::Failure;
 
@@ -22,12 +24,10 @@ Examples:
 
 /// What is worth measuring: poses, temperature sensors, when to warm up and cool down, probes of single joints
 #[derive(Debug, Args)]
-#[command(after_help = AFTER_HELP, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+#[command(after_help = AFTER_HELP, arg_required_else_help = true)]
 pub struct Arguments {
     #[command(subcommand)]
-    what: Option<What>,
-    #[command(flatten)]
-    poses: Option<poses::Arguments>,
+    what: What,
 }
 
 #[derive(Debug, Subcommand)]
@@ -36,6 +36,17 @@ enum What {
     Sensors(sensors::Arguments),
     Schedule(schedule::Arguments),
     Probes(probes::Arguments),
+    /// A robot in place of one of these: its poses
+    #[command(external_subcommand)]
+    Robot(Vec<OsString>),
+}
+
+/// `thermokin plan ROBOT`, which is `thermokin plan poses ROBOT`.
+#[derive(Debug, Parser)]
+#[command(name = "thermokin plan")]
+struct Poses {
+    #[command(flatten)]
+    poses: poses::Arguments,
 }
 
 /// Carries the command out.
@@ -43,13 +54,14 @@ enum What {
 /// # Errors
 /// Bad usage or input; a plan that does not exist; a disk that does not take it.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    match (&arguments.what, &arguments.poses) {
-        (Some(What::Poses(poses)), _) | (None, Some(poses)) => poses::run(poses),
-        (Some(What::Sensors(sensors)), _) => sensors::run(sensors),
-        (Some(What::Schedule(schedule)), _) => schedule::run(schedule),
-        (Some(What::Probes(probes)), _) => probes::run(probes),
-        (None, None) => {
-            Err(Failure::Usage("expected a robot, or one of poses, sensors, schedule and probes".to_owned()))
+    match &arguments.what {
+        What::Poses(poses) => poses::run(poses),
+        What::Sensors(sensors) => sensors::run(sensors),
+        What::Schedule(schedule) => schedule::run(schedule),
+        What::Probes(probes) => probes::run(probes),
+        What::Robot(words) => {
+            let words = [OsString::from("thermokin plan")].into_iter().chain(words.iter().cloned());
+            poses::run(&Poses::parse_from(words).poses)
         }
     }
 }

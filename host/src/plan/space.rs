@@ -81,6 +81,9 @@ pub struct Space {
 /// How many postures are drawn for one that is wanted, at most.
 const DRAWS: usize = 3_000;
 
+/// How far about a known posture draws go at most, 1-sigma as a share of the joints' windows.
+const WIDEST: f64 = 0.2;
+
 /// The distance between two segments, and where on the first, from 0 to 1 (Ericson, Real-Time Collision Detection, 5.1.9).
 fn between_segments(p: &Vector3<f64>, q: &Vector3<f64>, a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     let (d1, d2, r) = (q - p, b - a, p - a);
@@ -167,12 +170,21 @@ impl Space {
         Ok(())
     }
 
-    /// Draws `count` postures to choose from, evenly in the joints; fewer where room is scarce, but `least` of them.
+    /// Draws `count` postures to choose from; fewer where room is scarce, but `least` of them. Every second draw is even in
+    /// the joints, every other one about a posture of `known` (all, where there are none): what a run could measure may be
+    /// too small a part of all postures to be met by chance.
     ///
     /// # Errors
     /// Fewer than `least` are found.
-    pub fn draw(&self, setup: &Setup, count: usize, least: usize, seed: u64) -> Result<Vec<Vec<f64>>, SpaceError> {
-        self.drawn(setup, count, least, seed, Purpose::PlannedPoses)
+    pub fn draw(
+        &self,
+        setup: &Setup,
+        known: &[Vec<f64>],
+        count: usize,
+        least: usize,
+        seed: u64,
+    ) -> Result<Vec<Vec<f64>>, SpaceError> {
+        self.drawn(setup, known, count, least, Stream::new(seed, Purpose::PlannedPoses))
     }
 
     /// Draws `count` other postures, at which predictions are judged.
@@ -180,24 +192,31 @@ impl Space {
     /// # Errors
     /// None is found.
     pub fn draw_judges(&self, setup: &Setup, count: usize, seed: u64) -> Result<Vec<Vec<f64>>, SpaceError> {
-        self.drawn(setup, count, 1, seed, Purpose::JudgedPoses)
+        self.drawn(setup, &[], count, 1, Stream::new(seed, Purpose::JudgedPoses))
     }
 
     fn drawn(
         &self,
         setup: &Setup,
+        known: &[Vec<f64>],
         count: usize,
         least: usize,
-        seed: u64,
-        purpose: Purpose,
+        mut stream: Stream,
     ) -> Result<Vec<Vec<f64>>, SpaceError> {
         let (arm, targets) = (setup.prepared(), &setup.state.geometry.targets);
-        let mut stream = Stream::new(seed, purpose);
         let mut found = Vec::new();
         let mut error = SpaceError { wanted: least, found: 0, drawn: 0, outside: 0, low: 0, averted: 0, blocked: 0 };
         while found.len() < count && error.drawn < DRAWS * count {
             error.drawn += 1;
-            let joints: Vec<f64> = self.joints.iter().map(|&[low, high]| stream.between(low, high)).collect();
+            let mut joints: Vec<f64> = self.joints.iter().map(|&[low, high]| stream.between(low, high)).collect();
+            if !known.is_empty() && error.drawn % 2 == 0 {
+                let about = &known[(stream.uniform() * known.len() as f64) as usize];
+                let width = stream.between(0.0, WIDEST);
+                let near = joints.iter_mut().zip(about).zip(&self.joints);
+                near.for_each(|((joint, about), [low, high])| {
+                    *joint = (about + width * (high - low) * stream.normal()).clamp(*low, *high);
+                });
+            }
             match self.admits(&arm, targets, &joints) {
                 Ok(()) => found.push(joints),
                 Err(Refused::Volume) => error.outside += 1,

@@ -31,7 +31,6 @@ enum IndexName {
 
 /// The poses that identify an arm best, within limits and volume and seen by the tracker
 #[derive(Debug, Args)]
-#[group(id = "poses")]
 pub struct Arguments {
     /// A robot.toml, the name of a shipped arm, or a model.json
     robot: PathBuf,
@@ -151,7 +150,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let pool = match arguments.own {
         true => own.clone(),
         false => space
-            .draw(setup, (arguments.candidates as usize).max(2 * most), count.max(10), arguments.seed)
+            .draw(setup, own, (arguments.candidates as usize).max(2 * most), count.max(10), arguments.seed)
             .map_err(PlanError::from)?,
     };
     let judged = match own.is_empty() {
