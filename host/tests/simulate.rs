@@ -360,7 +360,7 @@ fn what_is_wrong_with_a_scenario_is_told_with_its_line() {
     let (_, message) = spoiled("\"comau-nj-130-2.0\"", "\"staubli-tx90\"");
     assert!(message.contains("target SMR has no position"), "{message}");
     let (_, message) = spoiled("[postures.drawn]", "[postures]\njoints = []\n[postures.drawn]");
-    assert!(message.contains("either joints"), "{message}");
+    assert!(message.contains("expected one of joints"), "{message}");
 }
 
 #[test]
