@@ -209,7 +209,7 @@ impl Space {
         while found.len() < count && error.drawn < DRAWS * count {
             error.drawn += 1;
             let mut joints: Vec<f64> = self.joints.iter().map(|&[low, high]| stream.between(low, high)).collect();
-            if !known.is_empty() && error.drawn % 2 == 0 {
+            if !known.is_empty() && error.drawn.is_multiple_of(2) {
                 let about = &known[(stream.uniform() * known.len() as f64) as usize];
                 let width = stream.between(0.0, WIDEST);
                 let near = joints.iter_mut().zip(about).zip(&self.joints);
