@@ -308,6 +308,9 @@ fn grown(dice: &mut Dice) -> (Model, Campaign, State) {
     (model, campaign, State { geometry: reference, growth: Vec::new() })
 }
 
+/// A visit's cycle, what parameters do to its targets, the sensors' rises, and how growth moves the targets.
+type Moved = (u32, DMatrix<f64>, Vec<f64>, DVector<f64>);
+
 /// The error of a set on held-out cycles by dense least squares over all rows: nothing of the products that the study sums.
 fn dense_error(model: &Model, campaign: &Campaign, state: &State, set: &[usize], reading_k: f64) -> f64 {
     let chain = campaign.chain.clone();
@@ -316,7 +319,7 @@ fn dense_error(model: &Model, campaign: &Campaign, state: &State, set: &[usize],
         .map(|name| chain.place(name.parse().expect("a name")).expect("there"))
         .collect();
     let unknowns: Vec<Unknown> = growing.iter().map(|&place| Unknown::Parameter(place)).collect();
-    let mut visits: Vec<(u32, DMatrix<f64>, Vec<f64>, DVector<f64>)> = Vec::new();
+    let mut visits: Vec<Moved> = Vec::new();
     Problem::new(campaign, unknowns, state).each_visit_rows(state, |visit, part| {
         let mut growth = DVector::zeros(growing.len());
         for (id, sensor, coefficient) in model.growth_at(Level::Thermal) {

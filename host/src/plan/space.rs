@@ -84,7 +84,7 @@ const DRAWS: usize = 3_000;
 /// How far about a known posture draws go at most, 1-sigma as a share of the joints' windows.
 const WIDEST: f64 = 0.2;
 
-/// The distance between two segments, and where on the first, from 0 to 1 (Ericson, Real-Time Collision Detection, 5.1.9).
+/// The distance between two segments (Ericson, Real-Time Collision Detection, 5.1.9).
 fn between_segments(p: &Vector3<f64>, q: &Vector3<f64>, a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     let (d1, d2, r) = (q - p, b - a, p - a);
     let (one, other, f) = (d1.norm_squared(), d2.norm_squared(), d2.dot(&r));
