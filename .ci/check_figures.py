@@ -1,6 +1,7 @@
 """Checks the figures of the smoke run: calibrate's JSON on the example run, demo's JSON."""
 
 import json
+import os
 import sys
 
 # An independent least-squares calibration of the whole series, identified on every 100th pose, leaves 0.41 mm on average
@@ -27,4 +28,10 @@ check(rank == EXPECTED_RANK, f"rank {rank}, expected {EXPECTED_RANK}")
 nominal, geometric, thermal = (demo["validation"][level]["mean_mm"] for level in ("nominal", "geometric", "thermal"))
 check(geometric < nominal / 4, f"demo: geometric {geometric:.3f} mm of nominal {nominal:.3f} mm")
 check(thermal < 0.75 * geometric, f"demo: thermal {thermal:.3f} mm of geometric {geometric:.3f} mm")
+link = demo["link"]
+check(link["readings"] > 20_000 and link["lost"] == 0, f"demo: {link['readings']} readings stored, {link['lost']} lost")
+check(link["exported"]["readings"] > 20_000 and link["exported"]["times_unbounded"] == 0, f"demo: {link}")
+found = [(finding["effect"], finding["where"].get("joint")) for finding in demo["findings"]]
+check(("gear_eccentricity", 1) in found, f"demo: the eccentric gear of joint 1 is not among {found}")
+check(os.path.getsize(demo["report"]) > 800_000, "demo: the report is empty")
 print(f"figures hold: held out {mean:.3f} mm; demo {nominal:.3f}, {geometric:.3f}, {thermal:.3f} mm")

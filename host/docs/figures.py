@@ -4,8 +4,9 @@
     cargo run --release -- validate /tmp/ur10.json host/data/ur10 --json /tmp/by-pose.json
     python3 host/docs/figures.py poses /tmp/by-pose.json host/docs/errors-by-pose.svg
 
-    cargo run --release -- demo --out /tmp/demo
-    cargo run --release -- validate /tmp/demo/model.json /tmp/demo/run-90-30 --json /tmp/by-cycle.json
+    for run in 75-25 90-30; do cargo run --release -- simulate thesis-$run --out /tmp/run-$run; done
+    cargo run --release -- calibrate /tmp/run-75-25 --out /tmp/thermal.json
+    cargo run --release -- validate /tmp/thermal.json /tmp/run-90-30 --json /tmp/by-cycle.json
     python3 host/docs/figures.py cycles /tmp/by-cycle.json host/docs/errors-by-cycle.svg
 """
 

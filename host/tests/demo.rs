@@ -18,7 +18,7 @@ fn the_measured_example_is_calibrated_to_the_reference() {
     // (host/data/ur10/SOURCE.txt); those that ship are a tenth of them.
     let mean = told["validation"]["thermal"]["mean_mm"].as_f64().expect("a number");
     assert!((mean - 0.41).abs() < 0.03 * 0.41, "{mean} mm");
-    for file in ["ur10.json", "ur10/LICENSE", "ur10/SOURCE.txt", "ur10/run.toml"] {
+    for file in ["report.html", "ur10.json", "ur10/LICENSE", "ur10/SOURCE.txt", "ur10/run.toml"] {
         assert!(folder.path().join(file).is_file(), "{file} is missing");
     }
 }

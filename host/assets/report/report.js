@@ -58,6 +58,7 @@
     place.querySelectorAll("svg.main-svg").forEach((svg) => svg.setAttribute("aria-hidden", "true"));
   };
   const inSpace = (figure) => "scene" in figure.layout;
+  figures.filter(inSpace).forEach((figure) => { document.getElementById(figure.id).textContent = "Drawn when it comes into sight."; });
   for (const figure of figures.filter((figure) => !inSpace(figure))) {
     await show(figure);
     await new Promise((done) => setTimeout(done));

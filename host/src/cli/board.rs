@@ -185,7 +185,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// The registry, or an empty one where there is none yet.
-fn registry_or_new(path: &Path) -> Result<Registry, InputError> {
+pub(super) fn registry_or_new(path: &Path) -> Result<Registry, InputError> {
     if path.exists() { Registry::read(path) } else { Ok(Registry::default()) }
 }
 
@@ -279,23 +279,45 @@ fn place_of(robot: &Robot, board: u32) -> (Option<u32>, Vec<u8>) {
     (link, on_board().filter_map(|sensor| sensor.address).collect())
 }
 
+/// A board's number, its link and the addresses of its sensors.
+pub(super) type Wanted = (u32, u32, Vec<u8>);
+
+/// The boards that a robot's sensors are read by.
+pub(super) fn boards_of(robot: &Robot) -> Vec<Wanted> {
+    let mut numbers: Vec<u32> = robot.sensors.iter().filter_map(|sensor| sensor.board).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    let place = |number: u32| {
+        let (link, sensors) = place_of(robot, number);
+        (number, link.unwrap_or(0), sensors)
+    };
+    numbers.into_iter().map(place).collect()
+}
+
+/// Those boards as the registry has them, to be simulated.
+pub(super) fn places(registry: &Registry, wanted: &[Wanted]) -> Vec<Place> {
+    let known = wanted.iter().filter_map(|(number, ..)| registry.board(*number));
+    known
+        .map(|board| Place {
+            board: board.board,
+            key: board.key.clone(),
+            sensors: board.sensors.clone(),
+            first_boot: board.first_boot,
+        })
+        .collect()
+}
+
 fn simulate_boards(arguments: &VirtualArguments) -> Result<(), Failure> {
     let path = path_or_default(arguments.registry.as_ref());
     let mut registry = registry_or_new(&path)?;
     let robot = arguments.robot.as_ref().map(|file| Robot::read(file).map(|robot| (file, robot))).transpose()?;
-    let wanted: Vec<(u32, u32, Vec<u8>)> = match &robot {
+    let wanted: Vec<Wanted> = match &robot {
         Some((file, robot)) => {
-            let mut numbers: Vec<u32> = robot.sensors.iter().filter_map(|sensor| sensor.board).collect();
-            numbers.sort_unstable();
-            numbers.dedup();
-            if numbers.is_empty() {
+            let wanted = boards_of(robot);
+            if wanted.is_empty() {
                 return Err(InputError::of_file(file, "has no sensor with a board and an address").into());
             }
-            let place = |number: u32| {
-                let (link, sensors) = place_of(robot, number);
-                (number, link.unwrap_or(0), sensors)
-            };
-            numbers.into_iter().map(place).collect()
+            wanted
         }
         None => (arguments.first..arguments.first.saturating_add(arguments.count))
             .map(|number| (number, 0, vec![0x48, 0x49, 0x4A, 0x4B]))
@@ -303,16 +325,7 @@ fn simulate_boards(arguments: &VirtualArguments) -> Result<(), Failure> {
     };
     let name = robot.as_ref().map_or("virtual", |(_, robot)| robot.name.as_str());
     add_missing(&mut registry, &path, name, &wanted)?;
-    let mut places: Vec<Place> = wanted
-        .iter()
-        .filter_map(|(number, ..)| registry.board(*number))
-        .map(|board| Place {
-            board: board.board,
-            key: board.key.clone(),
-            sensors: board.sensors.clone(),
-            first_boot: board.first_boot,
-        })
-        .collect();
+    let mut places = places(&registry, &wanted);
     let bad = arguments.bad_keys as usize;
     for index in 0..bad {
         let copied = places[places.len() - 1 - index.min(wanted.len() - 1)].clone();
@@ -404,13 +417,18 @@ fn simulate_boards(arguments: &VirtualArguments) -> Result<(), Failure> {
     }))
 }
 
-/// Adds to the registry the boards that it does not have.
-fn add_missing(
-    registry: &mut Registry,
-    path: &Path,
-    robot: &str,
-    wanted: &[(u32, u32, Vec<u8>)],
-) -> Result<(), Failure> {
+/// Adds to the registry the boards that it does not have, and says so.
+fn add_missing(registry: &mut Registry, path: &Path, robot: &str, wanted: &[Wanted]) -> Result<(), Failure> {
+    let added = add_boards(registry, robot, wanted)?;
+    if added > 0 {
+        registry.write(path)?;
+        eprintln!("{added} boards added to {}", path.display());
+    }
+    Ok(())
+}
+
+/// Adds to a registry the boards that it does not have, each with a new key; returns how many.
+pub(super) fn add_boards(registry: &mut Registry, robot: &str, wanted: &[Wanted]) -> Result<usize, Failure> {
     let known: std::collections::BTreeSet<u32> = registry.boards.iter().map(|board| board.board).collect();
     let mut added = 0;
     for (number, link, sensors) in wanted.iter().filter(|(number, ..)| !known.contains(number)) {
@@ -424,12 +442,8 @@ fn add_missing(
         });
         added += 1;
     }
-    if added > 0 {
-        registry.boards.sort_by_key(|board| board.board);
-        registry.write(path)?;
-        eprintln!("{added} boards added to {}", path.display());
-    }
-    Ok(())
+    registry.boards.sort_by_key(|board| board.board);
+    Ok(added)
 }
 
 fn progress(outcome: &Outcome) {

@@ -222,7 +222,8 @@ fn listen(arguments: &ServeArguments) -> Result<(), Failure> {
     }))
 }
 
-fn failure(error: ServeError) -> Failure {
+/// Why a logger failed, as a command says it.
+pub(super) fn failure(error: ServeError) -> Failure {
     match error {
         ServeError::Input(error) | ServeError::Store(StoreError::Foreign(error)) => Failure::Input(error),
         ServeError::Listen { .. } | ServeError::Store(_) | ServeError::Sink(_) | ServeError::System(_) => {

@@ -61,6 +61,16 @@ pub(super) struct Described {
     pub robot: Robot,
 }
 
+/// A discovery for a page.
+pub(super) enum Sought<'a> {
+    /// It is left out.
+    No,
+    /// It is to be made.
+    Yes,
+    /// It has been made; none where the run was too small to judge.
+    Done(Option<&'a Discovery>),
+}
+
 /// What a report is made from.
 pub(super) struct Material<'a> {
     /// The run that the report is about.
@@ -75,8 +85,8 @@ pub(super) struct Material<'a> {
     pub model: (&'a Model, &'a Path),
     /// How runs are read.
     pub observe: ObserveOptions,
-    /// Whether to look for what the model gets wrong.
-    pub discover: bool,
+    /// What the model gets wrong.
+    pub discovery: Sought<'a>,
     /// What the export of the temperatures said.
     pub link: Option<LinkQuality>,
     /// The command that makes the page.
@@ -112,7 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         },
         model: (&model, &arguments.model),
         observe: arguments.options.observe(),
-        discover: !arguments.no_discover,
+        discovery: if arguments.no_discover { Sought::No } else { Sought::Yes },
         link,
         command: as_given(),
     })?;
@@ -139,7 +149,7 @@ impl Described {
 }
 
 /// The command line as it was given, fit for a shell.
-fn as_given() -> String {
+pub(super) fn as_given() -> String {
     let quoted = |word: String| {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:,=+@%".contains(c);
         if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', "'\\''")) }
@@ -188,11 +198,19 @@ pub(super) fn make(material: &Material<'_>) -> Result<Made, Failure> {
         Err(error) => return Err(error.into()),
     };
     steps.done();
-    let discovery = if material.discover { look(robot, run, &request)? } else { None };
+    let made;
+    let discovery = match material.discovery {
+        Sought::No => None,
+        Sought::Yes => {
+            made = look(robot, run, &request, true)?;
+            made.as_ref()
+        }
+        Sought::Done(discovery) => discovery,
+    };
     steps.done();
     let unseen = match &other {
         Some(trial) => judged(material, trial),
-        None => folded(robot, run, &request, calibration.as_ref(), discovery.as_ref(), model),
+        None => folded(robot, run, &request, calibration.as_ref(), discovery, model),
     };
     steps.done();
 
@@ -207,7 +225,7 @@ pub(super) fn make(material: &Material<'_>) -> Result<Made, Failure> {
         "parameters": parameters(model),
         "thermal_coefficients": coefficients(model),
         "identification": calibration.as_ref().map(|found| calibrate_command::as_json(found, None, None)),
-        "discovery": discovery.as_ref().map(discover_command::as_json),
+        "discovery": discovery.map(discover_command::as_json),
         "quality": Quality::of(run, robot, &material.observe.join, material.link.clone()),
         "provenance": provenance(material)?,
     });
@@ -219,15 +237,15 @@ pub(super) fn make(material: &Material<'_>) -> Result<Made, Failure> {
         own: Tried { run, robot, trial: &trial },
         other: other.as_ref().map(|trial| Tried { run: &second.run, robot: &second.robot, trial }),
         calibration: calibration.as_ref(),
-        discovery: discovery.as_ref(),
+        discovery,
     });
     steps.done();
     Ok(Made { results, html })
 }
 
 /// What a discovery finds; none where the run is too small to judge.
-fn look(robot: &Robot, run: &Run, request: &Request) -> Result<Option<Discovery>, Failure> {
-    let request = DiscoveryRequest { calibration: request.clone(), seed: 1, hold_out: true };
+pub(super) fn look(robot: &Robot, run: &Run, request: &Request, hold_out: bool) -> Result<Option<Discovery>, Failure> {
+    let request = DiscoveryRequest { calibration: request.clone(), seed: 1, hold_out };
     match discover(robot, run, &request) {
         Ok(discovery) => Ok(Some(discovery)),
         Err(DiscoveryError::TooSmall) => Ok(None),

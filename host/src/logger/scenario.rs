@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::input::InputError;
 use crate::robot::Robot;
+use crate::run::TemperatureLog;
 
 /// The temperatures of a run, by board and address.
 #[derive(Debug, Clone, Default)]
@@ -44,6 +45,19 @@ impl Recorded {
             series.sort_by(|a, b| a.0.total_cmp(&b.0));
         }
         Ok(recorded)
+    }
+
+    /// The readings of a log, by each sensor's place in a robot; sensors without a place are left out.
+    pub fn of(log: &TemperatureLog, robot: &Robot) -> Self {
+        let mut recorded = Self::default();
+        for (name, series) in log.sensors.iter().zip(&log.series) {
+            let sensor = robot.sensor(name).map(|place| &robot.sensors[place]);
+            if let Some(place) = sensor.and_then(|sensor| sensor.board.zip(sensor.address)) {
+                let readings = series.times_s().iter().copied().zip(series.celsius().iter().copied());
+                recorded.series.insert(place, readings.collect());
+            }
+        }
+        recorded
     }
 
     /// The temperature of a sensor at a time, interpolated; its first before, its last after; none if it has none.

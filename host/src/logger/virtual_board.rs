@@ -98,6 +98,8 @@ pub struct Simulation<'a> {
 /// What a simulation came to.
 #[derive(Debug, Default)]
 pub struct Outcome {
+    /// When the scenario's time began, on the host's clock in microseconds.
+    pub start_us: u64,
     /// Records taken.
     pub taken: u64,
     /// Records that the host acknowledged.
@@ -326,7 +328,7 @@ pub fn simulate<const RECORDS: usize>(
         boards.iter().enumerate().filter(|(_, b)| !b.forger).map(|(index, b)| (b.place.board, index)).collect();
     let mut due: BinaryHeap<Reverse<(u64, usize)>> =
         boards.iter().enumerate().map(|(index, board)| Reverse((board.started_us, index))).collect();
-    let mut outcome = Outcome::default();
+    let mut outcome = Outcome { start_us, ..Outcome::default() };
     let until_us = simulation.duration_s.map_or(u64::MAX, |seconds| start_us + (seconds * 1e6) as u64);
     let give_up_us = until_us.saturating_add((simulation.drain_s * 1e6) as u64);
     let (mut buffer, mut told_us) = ([0; MAX_DATAGRAM], start_us);

@@ -279,9 +279,10 @@ fn of_positions(discovery: &Discovery, place: usize, id: &str, name: &str) -> Op
     errors(campaign, scene, with_all, |visit, target, error| after.push((visit, target, error)));
     let chain = &campaign.chain;
     let along = match (instance.site.joint, instance.site.parameter) {
-        (Some(joint), _) => Along::Joint(joint),
-        (None, Some(parameter)) => Along::Parameter(parameter),
-        _ => Along::Itself,
+        // Where both stand, the joint is where heat comes from.
+        (_, Some(parameter)) => Along::Parameter(parameter),
+        (Some(joint), None) => Along::Joint(joint),
+        (None, None) => Along::Itself,
     };
     let prepared = chain.prepare(&with_all.state.geometry.parameters);
     let mut parameter_twists = vec![Twist::default(); chain.parameters().len()];

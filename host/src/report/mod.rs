@@ -26,6 +26,7 @@ use crate::model::Model;
 use crate::robot::Robot;
 use crate::run::Run;
 
+pub use findings::name as finding_name;
 pub use page::page;
 pub use parameters::{coefficients, parameters};
 pub use provenance::{InputFile, Provenance, ProvenanceError, sha256_of, sha256_of_run};
