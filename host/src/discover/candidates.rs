@@ -271,20 +271,22 @@ impl<'a> Ground<'a> {
         Some(Tried { shape: shape.to_vec(), coefficients, ratio: 2.0 * gain, freedom, ln_p, visible })
     }
 
-    /// The gains of a step at every time between two visits near one.
+    /// The gains of a step at every time between two visits near one, and before the first.
     fn step_profile(&self, instance: &Instance) -> Vec<Gap> {
         const NEAR: usize = 12;
         let candidate = Candidate { effect: instance.effect, site: instance.site.clone() };
         let Some((time_place, &time)) = instance.shape.iter().enumerate().next_back() else { return Vec::new() };
         let mut times: Vec<f64> = self.scene.visits.iter().map(|visit| visit.time_s).collect();
         times.dedup();
+        // What stepped before the first visit has been so all along.
+        times.insert(0, 0.0_f64.min(times.first().copied().unwrap_or(0.0)));
         let after = times.partition_point(|&other| other < time);
         let gaps = after.saturating_sub(NEAR).max(1)..(after + NEAR).min(times.len());
         gaps.map(|gap| {
+            let (from_s, to_s) = (times[gap - 1], times[gap]);
             let mut shape = instance.shape.clone();
-            shape[time_place] = 0.5 * (times[gap - 1] + times[gap]);
-            let tried = self.try_shape(&candidate, &shape);
-            Gap { from_s: times[gap - 1], to_s: times[gap], tried }
+            shape[time_place] = if gap == 1 { from_s } else { 0.5 * (from_s + to_s) };
+            Gap { from_s, to_s, tried: self.try_shape(&candidate, &shape) }
         })
         .collect()
     }

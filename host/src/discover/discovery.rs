@@ -292,8 +292,11 @@ pub fn discover_in_steps(
         if is_pattern(instance.effect) {
             continue;
         }
-        let bounds: Vec<(usize, f64, f64)> =
-            named.between.map(|(low, high)| (instance.shape.len() - 1, low, high)).into_iter().collect();
+        let bounds: Vec<(usize, f64, f64)> = named
+            .between
+            .map(|(low, high)| (instance.shape.len() - 1, low, end_of_visit(&labelled, high)))
+            .into_iter()
+            .collect();
         findings.push(Finding {
             effect: instance.effect.name(),
             place: instance.site.named(&campaign.chain, &campaign.sensors, &campaign.targets),
@@ -354,6 +357,12 @@ pub fn discover_in_steps(
         scene,
         calibration,
     })
+}
+
+/// When the last point was measured of the visit that began at a time: a step may come between two points.
+fn end_of_visit(run: &Run, time_s: f64) -> f64 {
+    let points = run.visits.iter().filter(|visit| visit.time_s == time_s).flat_map(|visit| &visit.points);
+    points.fold(time_s, |last, point| last.max(point.time_s))
 }
 
 /// Calibrates what is left of a run when plainly wrong points are set aside. Where it `looks_for_wrong` ones, they are added.
