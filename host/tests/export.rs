@@ -237,3 +237,65 @@ fn geometry_is_read_back_before_it_is_written_and_what_is_singular_is_refused() 
         assert!(words.starts_with(expected), "{words}");
     }
 }
+
+/// The rows of a Parquet file, each as JSON by column.
+fn parquet_rows(file: &std::path::Path) -> Vec<Value> {
+    use parquet::file::reader::{FileReader, SerializedFileReader};
+    use parquet::record::Field;
+    let reader = SerializedFileReader::new(fs::File::open(file).expect("there")).expect("Parquet");
+    let cell = |field: &Field| match field {
+        Field::Double(value) => json!(value),
+        Field::Long(value) => json!(value),
+        Field::Str(value) => json!(value),
+        Field::Null => Value::Null,
+        other => panic!("{other} is of another type than the columns have"),
+    };
+    let rows = reader.get_row_iter(None).expect("rows").map(|row| row.expect("a row"));
+    rows.map(|row| row.get_column_iter().map(|(name, field)| (name.clone(), cell(field))).collect()).collect()
+}
+
+#[test]
+fn tables_for_analysis_hold_the_run_and_what_the_model_leaves() {
+    let folder = Folder::new();
+    let at = folder.folder.path();
+    for arguments in [
+        &["export", "model.json", "--form", "parquet", "--run", "run", "--out", "tables"][..],
+        &["validate", "model.json", "run", "--json", "validate.json"],
+    ] {
+        let output = thermokin(at, arguments);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let validated: Value =
+        serde_json::from_str(&fs::read_to_string(at.join("validate.json")).expect("there")).expect("JSON");
+    let residuals = parquet_rows(&at.join("tables/residuals.parquet"));
+    for level in ["nominal", "geometric", "thermal", "extended"] {
+        let own: Vec<f64> = residuals
+            .iter()
+            .filter(|row| row["level"] == level)
+            .map(|row| row["distance_m"].as_f64().expect("a number"))
+            .collect();
+        assert_eq!(own.len() as u64, validated["points"].as_u64().expect("a number"), "{level}");
+        let rms_mm = (own.iter().map(|error| error * error).sum::<f64>() / own.len() as f64).sqrt() * 1e3;
+        let expected = validated[level]["rms_mm"].as_f64().expect("a number");
+        // Sums of so many squares in another order.
+        assert!((rms_mm / expected - 1.0).abs() < 1e-12, "{level}: {rms_mm} and {expected}");
+    }
+    let poses = fs::read_to_string(at.join("run/poses.csv")).expect("there");
+    let lines: Vec<Vec<&str>> = poses.lines().map(|line| line.split(',').collect()).collect();
+    let rows = parquet_rows(&at.join("tables/poses.parquet"));
+    assert_eq!(rows.len(), lines.len() - 1);
+    for (row, line) in rows.iter().zip(&lines[1..]) {
+        for (name, cell) in lines[0].iter().zip(line) {
+            assert_eq!(row[*name].as_f64(), cell.parse().ok(), "{name}");
+        }
+        assert!(row["celsius_L1S1"].as_f64().is_some_and(|celsius| (10.0..60.0).contains(&celsius)), "{row}");
+    }
+    assert_eq!(
+        parquet_rows(&at.join("tables/points.parquet")).len() as u64,
+        validated["points"].as_u64().expect("one")
+    );
+    assert_eq!(fs::read_dir(at.join("tables")).expect("there").count(), 5, "nothing else is left");
+    let refused = thermokin(at, &["export", "model.json", "--form", "parquet", "--out", "more"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
+    assert!(!at.join("more").exists());
+}

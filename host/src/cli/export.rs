@@ -8,10 +8,13 @@ use serde_json::json;
 use super::Failure;
 use super::conditions::{LevelName, Temperatures};
 use super::output::JsonOption;
+use crate::calibrate::{ObserveOptions, Refit, Trial};
 use crate::compensate::Arm;
 use crate::compensate::export::{Portable, apart, c_header, dh_table, from_dh_table, matlab, python};
 use crate::model::Model;
+use crate::report::write_tables;
 use crate::robot::{Between, Robot, Transform, from_urdf, parametrise, urdf};
+use crate::run;
 
 /// What is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -28,14 +31,21 @@ enum Form {
     Matlab,
     /// A header of C99
     C,
+    /// A run and what the model leaves of it, as a folder of Parquet files
+    Parquet,
 }
 
 const AFTER_HELP: &str = "\
 Examples:
   thermokin export model.json --form urdf --temperature L1S1=31.5 --out arm.urdf
   thermokin export model.json --form python --out arm.py
+  thermokin export model.json --form parquet --run run-75-25 --out tables
 
-dh, table and urdf hold the geometry at one state of temperatures; python, matlab and c take temperatures and directions.";
+dh, table and urdf hold the geometry at one state of temperatures; python, matlab and c take temperatures and directions.
+
+parquet writes poses, points, temperatures, motion and distances with the columns of the run's files (poses with celsius_ and the\n\
+sensor's name beside them), and residuals: time_s, cycle, pose, target, level, dx_m, dy_m, dz_m (measured less predicted, in the\n\
+world frame) and distance_m.";
 
 /// Corrected DH tables, URDF, Python, MATLAB and C from a model, each held against it before it is written
 #[derive(Debug, Args)]
@@ -46,12 +56,15 @@ pub struct Arguments {
     /// What to write
     #[arg(long, value_enum)]
     form: Form,
-    /// The file to write
+    /// The file to write; the folder for parquet
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// How much of the model is used
     #[arg(long, value_enum, default_value = "extended")]
     level: LevelName,
+    /// The run for parquet
+    #[arg(long, value_name = "RUN", required_if_eq("form", "parquet"))]
+    run: Option<PathBuf>,
     #[command(flatten)]
     temperatures: Temperatures,
     #[command(flatten)]
@@ -67,6 +80,12 @@ const PROMISED: f64 = 1e-9;
 /// Bad usage or input, a model that the form cannot hold, a disk that does not take the file.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let model = Model::read(&arguments.model)?;
+    if arguments.form == Form::Parquet {
+        return tables(arguments, &model);
+    }
+    if arguments.run.is_some() {
+        return Err(Failure::Usage("--run is for parquet: the others hold a model alone".to_owned()));
+    }
     let level = arguments.level.level();
     let mut notes = Vec::new();
     let (text, apart) = match arguments.form {
@@ -89,7 +108,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             }
             (text, Some(apart))
         }
-        Form::Python | Form::Matlab | Form::C => {
+        _ => {
             if !arguments.temperatures.is_empty() {
                 let message = "--temperature is for dh, table and urdf: the others take temperatures with each call";
                 return Err(Failure::Usage(message.to_owned()));
@@ -113,6 +132,32 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     arguments.json.write(&json!({ "format": 1, "command": "export", "apart": apart, "notes": notes }))
+}
+
+/// The run and its residuals as Parquet.
+fn tables(arguments: &Arguments, model: &Model) -> Result<(), Failure> {
+    if !arguments.temperatures.is_empty() {
+        return Err(Failure::Usage("--temperature is for dh, table and urdf: a run has its own".to_owned()));
+    }
+    let folder = arguments.run.as_deref().ok_or_else(|| Failure::Usage("--form parquet needs --run RUN".to_owned()))?;
+    let run = run::read(folder)?;
+    let robot = Robot::read(&run.description.robot)?;
+    let options = ObserveOptions::default();
+    let trial = Trial::new(model, &run, &robot, &options, Refit::default(), |_| true)?;
+    let written =
+        write_tables(&run, &trial, &options.join, &arguments.out).map_err(|error| Failure::Work(error.to_string()))?;
+    if arguments.json.leaves_words() {
+        run.notes.iter().chain(&trial.notes).for_each(|note| println!("note: {note}"));
+        for table in &written {
+            println!("{}: {} rows, {} columns, read back the same", table.file.display(), table.rows, table.columns);
+        }
+    }
+    let tables: Vec<_> = written
+        .iter()
+        .map(|table| json!({ "file": table.file, "rows": table.rows, "columns": table.columns }))
+        .collect();
+    let notes: Vec<&String> = run.notes.iter().chain(&trial.notes).collect();
+    arguments.json.write(&json!({ "format": 1, "command": "export", "tables": tables, "notes": notes }))
 }
 
 /// The text of a form that holds geometry alone, and the transforms that are read back from it.

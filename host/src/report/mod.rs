@@ -1,4 +1,5 @@
-//! The report: everything that a calibration, a validation and a discovery came to, on one HTML page that opens from disk.
+//! The report: everything that a calibration, a validation and a discovery came to, on one HTML page that opens from disk;
+//! and, in `tables`, the run with its residuals for engines of analysis.
 //!
 //! Computes nothing that a command does not say as well: tables are written from the commands' JSON, cell by cell, each cell
 //! naming the number that it shows, so that page and JSON cannot differ. One file of this module is one chapter of the page;
@@ -15,6 +16,7 @@ mod provenance;
 mod quality;
 mod residuals;
 mod table;
+mod tables;
 mod time;
 mod verdict;
 
@@ -31,6 +33,7 @@ pub use page::page;
 pub use parameters::{coefficients, parameters};
 pub use provenance::{InputFile, Provenance, ProvenanceError, sha256_of, sha256_of_run};
 pub use quality::{LinkQuality, Quality, SensorQuality, TargetQuality};
+pub use tables::{TablesError, WrittenTable, write_tables};
 pub use verdict::verdict;
 
 /// A run with what a model makes of it.

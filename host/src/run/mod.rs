@@ -4,6 +4,7 @@
 //! one file of the folder, both ways; [`RunFiles`] holds them as bytes between the disk and a checked [`Run`].
 
 mod approach;
+mod columns;
 mod description;
 mod distances;
 mod files;

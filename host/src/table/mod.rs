@@ -1,12 +1,14 @@
 //! Delimited text with a header, both ways. It owns separators, decimal commas and the numbering of lines, for every room
 //! that reads or writes tables.
 
+pub(crate) mod parquet;
 mod reader;
 mod writer;
 
 use std::io;
 use std::path::PathBuf;
 
+pub(crate) use parquet::Column;
 pub(crate) use reader::{Layout, Row, Table, is_usable_name, numbered_suffix};
 pub(crate) use writer::TableWriter;
 

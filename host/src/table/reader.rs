@@ -132,6 +132,11 @@ impl<'a> Table<'a> {
         self.head.names.iter().position(|known| known == name)
     }
 
+    /// The columns' names.
+    pub(crate) fn names(&self) -> &[String] {
+        &self.head.names
+    }
+
     /// How many columns there are.
     pub(crate) fn width(&self) -> usize {
         self.head.names.len()
